@@ -1,0 +1,58 @@
+"""Maps derived from an image, computed once and shared by the stages that need them."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+MAX_BYTES = 1 << 30
+
+
+class DerivedMaps:
+    """A bounded store of `function(image, **params)` results, one lock per key.
+
+    The key is the function's full name and its parameters, so two stages that ask for the same map share one result
+    without knowing each other. Least recently used maps go first once `max_bytes` is exceeded.
+    """
+
+    def __init__(self, max_bytes: int = MAX_BYTES) -> None:
+        self._max_bytes = max_bytes
+        self._lock = threading.Lock()
+        self._locks: dict[Any, threading.Lock] = {}
+        self._maps: OrderedDict[Any, tuple[Any, int]] = OrderedDict()
+
+    def get(self, image: Any, function: Callable[..., Any], params: Mapping[str, Any]) -> Any:
+        if "<" in function.__qualname__:
+            raise TypeError(f"derive needs a module-level function, got {function.__qualname__}")
+        key = (function.__module__, function.__qualname__, tuple(sorted(params.items())))
+        with self._lock:
+            if key in self._maps:
+                self._maps.move_to_end(key)
+                return self._maps[key][0]
+            lock = self._locks.setdefault(key, threading.Lock())
+        with lock:
+            with self._lock:
+                if key in self._maps:
+                    return self._maps[key][0]
+            value = function(image, **params)
+            self._keep(key, value)
+            return value
+
+    def clear(self) -> None:
+        with self._lock:
+            self._maps.clear()
+            self._locks.clear()
+
+    def _keep(self, key: Any, value: Any) -> None:
+        arrays = [a for a in (value if isinstance(value, tuple) else (value,)) if isinstance(a, np.ndarray)]
+        for array in arrays:
+            array.flags.writeable = False
+        with self._lock:
+            self._maps[key] = (value, sum(a.nbytes for a in arrays))
+            while sum(size for _, size in self._maps.values()) > self._max_bytes and len(self._maps) > 1:
+                gone, _ = self._maps.popitem(last=False)
+                self._locks.pop(gone, None)

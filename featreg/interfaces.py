@@ -1,0 +1,142 @@
+"""What a plugin is: Detector, Descriptor, Nearest, Matcher, Filter and Model, each as small as it can be.
+
+A plugin is one class in one file. Its parameters are keywords with defaults, kept on the instance under their own
+names (a frozen dataclass does both), so that they can be listed, checked, recorded and swept.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from featreg.types import BoolArray, Features, FloatArray, Image, IntArray, Matches
+
+
+class Detector(ABC):
+    """Finds keypoints in one image."""
+
+    @abstractmethod
+    def detect_features(self, image: Image) -> Features:
+        """Return the keypoints of `image`, best first; empty where there are none.
+
+        A detector that has a parameter `n_features` is given the pipeline's budget through it. Descriptors may be
+        returned at once; the descriptor stage is then skipped.
+        """
+
+    def detect(self, array: NDArray[Any], mask: NDArray[Any] | None = None) -> list[Any]:
+        """As OpenCV's `Feature2D.detect`: an array and an optional mask (non-zero = valid) in, `cv2.KeyPoint` out."""
+        from featreg.io import as_image
+
+        return self.detect_features(as_image(array, mask=None if mask is None else mask != 0)).to_keypoints()
+
+
+class Descriptor(ABC):
+    """Describes keypoints of one image."""
+
+    @abstractmethod
+    def describe_features(self, image: Image, features: Features) -> Features:
+        """Return the features with `descriptors`; where rows were dropped or doubled, `index` names the rows given."""
+
+    def compute(self, array: NDArray[Any], keypoints: Any) -> tuple[list[Any], NDArray[Any] | None]:
+        """As OpenCV's `Feature2D.compute`: an array and `cv2.KeyPoint`s in, the kept ones and descriptors out."""
+        from featreg.io import as_image
+
+        described = self.describe_features(as_image(array), Features.from_keypoints(keypoints))
+        return described.to_keypoints(), described.descriptors
+
+
+class Nearest(ABC):
+    """Pairs the descriptors of two images."""
+
+    @abstractmethod
+    def match_features(self, reference: Features, secondary: Features) -> tuple[IntArray, FloatArray]:
+        """Return ((M, 2) int64 rows of reference and secondary, (M,) float64 score, higher is better)."""
+
+
+class Matcher(ABC):
+    """The one matcher interface: a pure source of tie points."""
+
+    @abstractmethod
+    def match(self, reference: Image, secondary: Image) -> Matches:
+        """Return putative tie points; empty where there are none."""
+
+
+@dataclass(frozen=True, eq=False)
+class FilterContext:
+    """What a filter may know beside the matches.
+
+    `reference_shape` and `secondary_shape` are (H, W); `model` is the class to be fitted; `rng` is the only source of
+    randomness; `initial` is the model known beforehand, if any.
+    """
+
+    reference_shape: tuple[int, int]
+    secondary_shape: tuple[int, int]
+    model: type[Model]
+    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
+    initial: Model | None = None
+
+
+class Filter(ABC):
+    """Keeps the tie points that agree with each other."""
+
+    #: True where the filter looks at neighbourhoods only, so that a scene may run it block by block.
+    local: ClassVar[bool] = False
+
+    @abstractmethod
+    def keep(self, matches: Matches, context: FilterContext) -> BoolArray:
+        """Return an (M,) bool mask of the matches to keep."""
+
+
+@dataclass(frozen=True)
+class FailedFit:
+    """What a fit returns when it cannot be made: falsy, and says why."""
+
+    reason: str
+
+    def __bool__(self) -> Literal[False]:
+        return False
+
+
+class Model(ABC):
+    """A geometric model reference -> secondary, in pixels."""
+
+    #: Fewest points that determine the model.
+    minimum: ClassVar[int]
+
+    @classmethod
+    @abstractmethod
+    def from_estimate(
+        cls, reference_xy: FloatArray, secondary_xy: FloatArray, weights: FloatArray | None = None
+    ) -> Self | FailedFit:
+        """Return the weighted least-squares model of (M, 2) points, or a `FailedFit` where there is none.
+
+        `weights` (M,) multiply the squared residuals.
+        """
+
+    @abstractmethod
+    def __call__(self, xy: FloatArray) -> FloatArray:
+        """Map (N, 2) reference points to the secondary image."""
+
+    @property
+    @abstractmethod
+    def inverse(self) -> Model:
+        """The model secondary -> reference."""
+
+    @property
+    @abstractmethod
+    def parameters(self) -> Mapping[str, Any]:
+        """Named values, enough to rebuild the model with ``type(model)(**parameters)``."""
+
+    @property
+    def matrix(self) -> FloatArray | None:
+        """The (3, 3) homogeneous matrix, or None where the model has none."""
+        return None
+
+    def residuals(self, reference_xy: FloatArray, secondary_xy: FloatArray) -> FloatArray:
+        """(M,) distances in pixels between the mapped reference points and the secondary points."""
+        return np.asarray(np.hypot(*(self(reference_xy) - secondary_xy).T))

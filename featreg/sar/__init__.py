@@ -1,0 +1,1 @@
+"""SAR mathematics: plain functions of arrays and images, without any knowledge of plugins."""
