@@ -1,5 +1,78 @@
 """featreg: SAR image features, matching and registration, every method a plugin behind one interface."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
 from featreg._version import __version__
 
-__all__ = ["__version__"]
+if TYPE_CHECKING:
+    from featreg.compare import compare
+    from featreg.errors import FeatregError
+    from featreg.evaluation import evaluate
+    from featreg.feature_matcher import FeatureMatcher
+    from featreg.interfaces import (
+        Descriptor,
+        Detector,
+        FailedFit,
+        Filter,
+        FilterContext,
+        Matcher,
+        Model,
+        Nearest,
+    )
+    from featreg.io import as_image
+    from featreg.matching import fit, match
+    from featreg.pipeline import Pipeline
+    from featreg.registry import available, create, register, register_family
+    from featreg.resample import warp
+    from featreg.types import Features, Image, Matches, Registration
+    from featreg.extractor import extractor
+    from featreg.warm_up import warm_up
+
+# Public name -> module that defines it; each is imported when first asked for, so that `import featreg` is quick.
+_HOMES = {
+    "Descriptor": "interfaces",
+    "Detector": "interfaces",
+    "FailedFit": "interfaces",
+    "FeatregError": "errors",
+    "FeatureMatcher": "feature_matcher",
+    "Features": "types",
+    "Filter": "interfaces",
+    "FilterContext": "interfaces",
+    "Image": "types",
+    "Matcher": "interfaces",
+    "Matches": "types",
+    "Model": "interfaces",
+    "Nearest": "interfaces",
+    "Pipeline": "pipeline",
+    "Registration": "types",
+    "as_image": "io",
+    "available": "registry",
+    "compare": "compare",
+    "create": "registry",
+    "evaluate": "evaluation",
+    "extractor": "extractor",
+    "fit": "matching",
+    "match": "matching",
+    "register": "registry",
+    "register_family": "registry",
+    "warm_up": "warm_up",
+    "warp": "resample",
+}
+
+__all__ = ["__version__", *sorted(_HOMES)]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'featreg' has no attribute '{name}'")
+    from importlib import import_module
+
+    value = getattr(import_module(f"featreg.{_HOMES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOMES})

@@ -12,7 +12,7 @@ All types are frozen dataclasses of arrays, checked where they are made, and hol
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeVar
@@ -219,6 +219,14 @@ class Features:
     def empty(cls) -> Self:
         none = np.zeros(0)
         return cls(xy=np.zeros((0, 2)), scale=none, angle=none, score=none, level=np.zeros(0, np.int64))
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[Features]) -> Features:
+        """The undescribed features of all parts, one after the other."""
+        if not parts:
+            return cls.empty()
+        names = ("xy", "scale", "angle", "score", "level")
+        return cls(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
 
     def __len__(self) -> int:
         return len(self.xy)

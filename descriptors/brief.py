@@ -1,0 +1,136 @@
+"""BRIEF: binary intensity comparisons around a keypoint, turned with it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from featreg.errors import ParameterError
+from featreg.interfaces import Descriptor
+from featreg.registry import register
+from featreg.sar.pyramid import SUPPORT, clearance, pyramid
+from featreg.sar.speckle import despeckled
+from featreg.types import Features, FloatArray, Image
+
+TURNS = 72
+
+
+@register("brief")
+@dataclass(frozen=True)
+class Brief(Descriptor):
+    """Oriented BRIEF on the despeckled view of the pyramid level that fits a keypoint's scale.
+
+    Parameters
+    ----------
+    bits : length of the descriptor, a multiple of 256
+    radius : of the comparisons, in pixels of the level; also the keypoint scale that belongs to the first level
+    spread : standard deviation of the samples around the keypoint, in pixels of the level
+    sigma : of the Gaussian that smooths the log-amplitude
+    levels, factor : of the pyramid; a keypoint of scale radius * factor^n is described on level n
+    oriented : False leaves the comparisons upright, whatever the keypoint's angle
+
+    Notes
+    -----
+    M. Calonder et al., "BRIEF: Binary Robust Independent Elementary Features", ECCV 2010,
+    DOI 10.1007/978-3-642-15561-1_56; turned by the keypoint's angle, in steps of 5 degrees, as in Rublee et al. 2011,
+    DOI 10.1109/ICCV.2011.6126544. The comparisons are our own: a quasi-random (Halton) sample of the Gaussian, which
+    is the same everywhere and needs no training set. They are made on the smoothed logarithm of the amplitude,
+    because on the amplitude itself speckle decides most of them. Keypoints whose samples would touch nodata or leave
+    the image are dropped.
+    """
+
+    bits: int = 512
+    radius: float = SUPPORT
+    spread: float = 9.0
+    sigma: float = 1.5
+    levels: int = 8
+    factor: float = 1.2
+    oriented: bool = True
+
+    def __post_init__(self) -> None:
+        if self.bits < 256 or self.bits % 256:
+            raise ParameterError(f"brief needs bits to be a positive multiple of 256, got {self.bits}")
+        if not (0 < self.radius <= 100 and self.spread > 0 and self.factor > 1):
+            raise ParameterError(
+                "brief needs 0 < radius <= 100, spread > 0 and factor > 1, got "
+                f"{self.radius}, {self.spread} and {self.factor}"
+            )
+
+    def describe_features(self, image: Image, features: Features) -> Features:
+        from featreg.sar import binary_kernels
+
+        chain = pyramid(image, self.levels, self.factor)
+        steps = np.log(np.maximum(features.scale, 1e-9) / self.radius) / math.log(self.factor)
+        number = np.clip(np.rint(steps), 0, len(chain) - 1).astype(np.int64)
+        words = np.zeros((len(features), self.bits // 64), np.uint64)
+        kept = np.zeros(len(features), np.bool_)
+        table = turned_pattern(self.bits, self.radius, self.spread)
+        for n, level in enumerate(chain):
+            rows = np.flatnonzero(number == n)
+            at = np.rint((features.xy[rows] + 0.5) * level.shape[::-1] / image.shape[::-1] - 0.5).astype(np.int64)
+            inside = ((at >= 0) & (at < level.shape[::-1])).all(axis=1)
+            inside[inside] = clearance(level)[at[inside, 1], at[inside, 0]] > math.ceil(self.radius) - 1
+            rows, at = rows[inside], at[inside]
+            if not len(rows):
+                continue
+            turn = _turns(features.angle[rows]) if self.oriented else np.zeros(1, np.int64)
+            same = bool((turn == turn[0]).all())
+            out = np.empty((len(rows), words.shape[1]), np.uint64)
+            xs, ys = np.ascontiguousarray(at.T)
+            view = despeckled(level, self.sigma)
+            binary_kernels.compare_pairs(view, xs, ys, table[turn[:1]] if same else table[turn], out)
+            words[rows] = out
+            kept[rows] = True
+        index = np.flatnonzero(kept)
+        chosen = features.take(index)
+        packed = words[index].view(np.uint8)
+        return Features(chosen.xy, chosen.scale, chosen.angle, chosen.score, chosen.level, packed, "hamming", index)
+
+
+def _turns(angle: FloatArray) -> NDArray[np.int64]:
+    return np.rint(angle * (TURNS / (2 * math.pi))).astype(np.int64) % TURNS
+
+
+@lru_cache(maxsize=8)
+def turned_pattern(bits: int, radius: float, spread: float) -> NDArray[np.int8]:
+    """Return the (72, bits, 4) int8 comparisons (x1, y1, x2, y2) for every turn, counter-clockwise as seen."""
+    first, second = _halton_disc(bits, radius, spread)
+    table = np.empty((TURNS, bits, 4), np.int8)
+    for turn in range(TURNS):
+        t = 2 * math.pi * turn / TURNS
+        # x to the right, y down: counter-clockwise as seen is (cos, sin; -sin, cos).
+        matrix = np.array([[math.cos(t), math.sin(t)], [-math.sin(t), math.cos(t)]])
+        table[turn, :, :2] = np.rint(first @ matrix.T)
+        table[turn, :, 2:] = np.rint(second @ matrix.T)
+    table.flags.writeable = False
+    return table
+
+
+def _halton_disc(count: int, radius: float, spread: float) -> tuple[FloatArray, FloatArray]:
+    """Two (count, 2) point sets, Gaussian in the disc of radius - 1, whose partners are at least two pixels apart."""
+    limit = 1 - math.exp(-0.5 * ((radius - 1) / spread) ** 2)
+    pairs: list[FloatArray] = []
+    i = 0
+    while len(pairs) < count:
+        i += 1
+        u = [_radical_inverse(i, base) for base in (2, 3, 5, 7)]
+        r = [spread * math.sqrt(-2 * math.log(1 - limit * u[k])) for k in (0, 2)]
+        t = [2 * math.pi * u[k] for k in (1, 3)]
+        pair = np.array([[r[k] * math.cos(t[k]), r[k] * math.sin(t[k])] for k in (0, 1)])
+        if math.hypot(*(pair[0] - pair[1])) >= 2:
+            pairs.append(pair)
+    both = np.array(pairs)
+    return both[:, 0], both[:, 1]
+
+
+def _radical_inverse(index: int, base: int) -> float:
+    value, weight = 0.0, 1.0 / base
+    while index:
+        index, digit = divmod(index, base)
+        value += digit * weight
+        weight /= base
+    return value

@@ -1,0 +1,182 @@
+"""What the models share: checked and normalised points, the linear part, the base classes."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from featreg.errors import InputError
+from featreg.interfaces import FailedFit, Model
+from featreg.types import FloatArray, read_only
+
+#: Smallest ratio of the two spreads of a point set that still determines a model.
+FLAT = 1e-6
+#: Coordinates beyond this are no pixels; their squares would overflow long before float64 ends.
+FARTHEST = 1e12
+
+
+@dataclass(frozen=True, eq=False)
+class Normalised:
+    """Points and weights fit for a fit: checked, rows of weight 0 dropped, centred and scaled.
+
+    `reference` and `secondary` (M, 2) have weighted mean 0 and weighted mean square length 1; the pixel coordinates are
+    ``points * scale + centre``. `weights` (M,) have mean 1.
+    """
+
+    reference: FloatArray
+    secondary: FloatArray
+    weights: FloatArray
+    reference_centre: FloatArray
+    secondary_centre: FloatArray
+    reference_scale: float
+    secondary_scale: float
+
+
+def normalise(
+    reference_xy: ArrayLike, secondary_xy: ArrayLike, weights: ArrayLike | None, minimum: int, *, spread: bool = True
+) -> Normalised | FailedFit:
+    """Check and normalise the points of a fit.
+
+    Parameters
+    ----------
+    reference_xy, secondary_xy : (M, 2) float64 px
+    weights : (M,) of the squared residuals, or None for equal ones
+    minimum : fewest points of positive weight
+    spread : whether points that all coincide are a failure
+
+    Returns
+    -------
+    The normalised points, or a `FailedFit` with the numbers that forbid a fit.
+
+    Raises
+    ------
+    InputError
+        The arrays do not fit together.
+    """
+    r, s = np.asarray(reference_xy, np.float64), np.asarray(secondary_xy, np.float64)
+    if r.size == 0 and s.size == 0:
+        return FailedFit(f"too few points: {minimum} needed, got 0")
+    if r.ndim != 2 or r.shape[1] != 2 or r.shape != s.shape:
+        raise InputError(f"a fit needs two (M, 2) arrays of (x, y), got shapes {r.shape} and {s.shape}")
+    w = np.ones(len(r)) if weights is None else np.asarray(weights, np.float64)
+    if w.shape != (len(r),):
+        raise InputError(f"a fit of {len(r)} points needs weights of shape ({len(r)},), got {w.shape}")
+    usable = (np.abs(r) < FARTHEST).all(axis=1) & (np.abs(s) < FARTHEST).all(axis=1) & np.isfinite(w)
+    if not usable.all():
+        return FailedFit(f"{int((~usable).sum())} of {len(r)} points or weights are not finite")
+    if (w < 0).any():
+        return FailedFit(f"{int((w < 0).sum())} of {len(r)} weights are negative")
+    if not w.all():
+        r, s, w = r[w > 0], s[w > 0], w[w > 0]
+    if len(r) < minimum:
+        return FailedFit(f"too few points: {minimum} needed, got {len(r)} of positive weight")
+    # Two divisions: the mean of weights near the end of float64's range must not overflow.
+    w = w / w.max()
+    w = w / w.mean()
+    rc, sc = (w @ r) / len(r), (w @ s) / len(s)
+    r, s = r - rc, s - sc
+    rs, ss = (math.sqrt((w @ (p * p)).sum() / len(p)) for p in (r, s))
+    for size, centre, image in ((rs, rc, "reference"), (ss, sc, "secondary")):
+        if spread and size <= 1e-10 * (1.0 + np.abs(centre).max()):
+            return FailedFit(f"the {len(r)} {image} points coincide: spread {size:.3g} px")
+    return Normalised(r / (rs or 1.0), s / (ss or 1.0), w, rc, sc, rs or 1.0, ss or 1.0)
+
+
+def decompose(linear: ArrayLike) -> tuple[float, float, float, float]:
+    """Return what a (2, 2) linear part does: (rotation_deg, scale, anisotropy, shear_deg).
+
+    The rotation, counter-clockwise as seen, is that of the nearest rotation (polar decomposition), NaN for a
+    reflection; the scale is sqrt |det|; the anisotropy is the ratio of the singular values (>= 1); the shear is by how
+    many degrees the angle between the mapped axes falls short of 90.
+    """
+    (a, b), (c, d) = np.asarray(linear, np.float64).tolist()
+    det = a * d - b * c
+    rotation = math.degrees(math.atan2(b - c, a + d)) if det > 0 else math.nan
+    # Singular values are half the sum and half the difference of these two lengths.
+    turn, squeeze = math.hypot(a + d, b - c), math.hypot(a - d, b + c)
+    large, small = 0.5 * (turn + squeeze), 0.5 * abs(turn - squeeze)
+    shear = math.degrees(math.atan2(a * b + c * d, abs(det)))
+    return rotation, math.sqrt(abs(det)), large / small if small > 0 else math.inf, shear
+
+
+class GeometricModel(Model):
+    """A model given by numbers alone."""
+
+    def shift_at(self, xy: ArrayLike) -> FloatArray:
+        """Return ``model(xy) - xy`` in pixels for one point (2,) or (N, 2); at the image centre for a rigid one."""
+        at = np.asarray(xy, np.float64)
+        return np.asarray(self(at.reshape(-1, 2)).reshape(at.shape) - at)
+
+
+class MatrixModel(GeometricModel):
+    """A model that is a matrix."""
+
+    @property
+    @abstractmethod
+    def matrix(self) -> FloatArray:
+        """The (3, 3) homogeneous matrix."""
+
+    def __call__(self, xy: FloatArray) -> FloatArray:
+        p = np.asarray(xy, np.float64)
+        m = self.matrix
+        x, y = p[..., 0], p[..., 1]
+        out = np.empty_like(p)
+        out[..., 0] = m[0, 0] * x + m[0, 1] * y + m[0, 2]
+        out[..., 1] = m[1, 0] * x + m[1, 1] * y + m[1, 2]
+        return out
+
+    @property
+    def anisotropy(self) -> float:
+        """Ratio of the singular values of the linear part, >= 1."""
+        return decompose(self.matrix[:2, :2])[2]
+
+    @property
+    def shear_deg(self) -> float:
+        """Degrees by which the angle between the mapped axes falls short of 90."""
+        return decompose(self.matrix[:2, :2])[3]
+
+
+def finite_numbers(model: Any, *names: str) -> None:
+    for name in names:
+        value = float(getattr(model, name))
+        if not math.isfinite(value):
+            raise InputError(f"{type(model).__name__}.{name} must be finite, got {value}")
+        object.__setattr__(model, name, value)
+
+
+def coefficient_array(values: ArrayLike, shape: tuple[int, ...], what: str) -> FloatArray:
+    """Return `values` as a read-only finite float64 array of `shape`, or raise `InputError`."""
+    array = np.array(values, np.float64)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise InputError(f"{what} must be a finite array of shape {shape}, got shape {array.shape}")
+    return read_only(array)
+
+
+class GeneralMatrixModel(MatrixModel):
+    """A matrix whose rotation and scale are read off its linear part."""
+
+    def _linear(self) -> FloatArray:
+        return self.matrix[:2, :2]
+
+    @property
+    def rotation_deg(self) -> float:
+        """Counter-clockwise as seen, of the nearest rotation; NaN for a reflection."""
+        return decompose(self._linear())[0]
+
+    @property
+    def scale(self) -> float:
+        """Square root of the magnification of areas."""
+        return decompose(self._linear())[1]
+
+    @property
+    def anisotropy(self) -> float:
+        return decompose(self._linear())[2]
+
+    @property
+    def shear_deg(self) -> float:
+        return decompose(self._linear())[3]

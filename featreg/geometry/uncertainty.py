@@ -1,0 +1,158 @@
+"""How well the points of a fit determine the model: standard errors of a rigid one, prediction errors of any."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from featreg.errors import InputError
+from featreg.geometry.base import Normalised, normalise
+from featreg.geometry.homography import Homography
+from featreg.geometry.matrix import Affine, Rigid, Similarity, Translation
+from featreg.geometry.polynomial import Polynomial, polynomial_terms
+from featreg.interfaces import FailedFit, Model
+from featreg.types import FloatArray
+
+
+@dataclass(frozen=True)
+class RigidUncertainty:
+    """Standard errors of a rigid fit.
+
+    Parameters
+    ----------
+    rotation_deg : standard deviation of the rotation in degrees
+    shift : standard deviations of the shift (dx, dy) at the stated point, px
+    sigma : standard deviation of one secondary coordinate of weight 1, px
+    dof : degrees of freedom of `sigma`, 2 M - 3; intervals take Student's t of that many
+    """
+
+    rotation_deg: float
+    shift: tuple[float, float]
+    sigma: float
+    dof: int
+
+
+def rigid_uncertainty(
+    reference_xy: FloatArray, secondary_xy: FloatArray, weights: FloatArray | None = None, *, at: ArrayLike
+) -> RigidUncertainty | FailedFit:
+    """Return the standard errors of the rigid fit of these points.
+
+    Parameters
+    ----------
+    reference_xy, secondary_xy : (M, 2) float64 px
+    weights : (M,) relative inverse variances, as in the fit; None for equal ones
+    at : (x, y) reference point at which the shift is judged, the image centre for example
+
+    Returns
+    -------
+    The standard errors, or a `FailedFit` where the fit fails.
+
+    Notes
+    -----
+    Errors of the secondary positions are taken as independent, equal along both axes and with variance sigma^2 / w;
+    sigma^2 is estimated without bias as sum w r^2 / (2 M - 3). To first order var(angle) = sigma^2 / sum w |z - zm|^2,
+    and the shift at p has covariance sigma^2 (I / sum w + q q^T / sum w |z - zm|^2) with q the offset of p from the
+    mean point, turned by 90 degrees more than the model turns. Errors of the reference positions of the same size add
+    to the residuals and so are counted through sigma.
+    """
+    n = normalise(reference_xy, secondary_xy, weights, Rigid.minimum)
+    if isinstance(n, FailedFit):
+        return n
+    model = Rigid.from_estimate(reference_xy, secondary_xy, weights)
+    if isinstance(model, FailedFit):
+        return model
+    m = len(n.weights)
+    reference = n.reference * n.reference_scale + n.reference_centre
+    secondary = n.secondary * n.secondary_scale + n.secondary_centre
+    dof = 2 * m - 3
+    variance = float(n.weights @ model.residuals(reference, secondary) ** 2) / dof
+    inertia = m * n.reference_scale**2
+    q = model.matrix[:2, :2] @ (np.asarray(at, np.float64) - n.reference_centre)
+    sx = math.sqrt(variance * (1.0 / m + q[1] ** 2 / inertia))
+    sy = math.sqrt(variance * (1.0 / m + q[0] ** 2 / inertia))
+    return RigidUncertainty(math.degrees(math.sqrt(variance / inertia)), (sx, sy), math.sqrt(variance), dof)
+
+
+def prediction_covariance(
+    model: Model,
+    reference_xy: FloatArray,
+    secondary_xy: FloatArray,
+    weights: FloatArray | None = None,
+    *,
+    at: ArrayLike,
+) -> FloatArray | FailedFit:
+    """Return the covariance of where a fitted model maps points, from the residuals of its own fit.
+
+    Parameters
+    ----------
+    model : the least-squares model of these points
+    reference_xy, secondary_xy : (M, 2) float64 px
+    weights : (M,) relative inverse variances, as in the fit; None for equal ones
+    at : (N, 2) reference points, or (2,) for one
+
+    Returns
+    -------
+    (N, 2, 2) float64 px^2 (or (2, 2)), or a `FailedFit` where the points leave no degree of freedom
+
+    Raises
+    ------
+    InputError
+        A model without known derivatives.
+
+    Notes
+    -----
+    Errors of the secondary positions are taken as independent, equal along both axes and with variance sigma^2 / w.
+    With T the derivatives of the mapped points by the P parameters the covariance is sigma^2 T (sum w T^T T)^-1 T^T,
+    and sigma^2 = sum w r^2 / (2 M - P). Points that a consensus selected away do not count: the residuals are cut off
+    at its threshold, and sigma comes out a little small.
+    """
+    n = normalise(reference_xy, secondary_xy, weights, model.minimum, spread=False)
+    if isinstance(n, FailedFit):
+        return n
+    points = np.asarray(at, np.float64)
+    reference = n.reference * n.reference_scale + n.reference_centre
+    secondary = n.secondary * n.secondary_scale + n.secondary_centre
+    design = _derivatives(model, reference, n)
+    m, _, count = design.shape
+    dof = 2 * m - count
+    if dof < 1:
+        return FailedFit(f"{m} points leave no degree of freedom beside {count} parameters")
+    variance = float(n.weights @ model.residuals(reference, secondary) ** 2) / dof
+    rows = (design * np.sqrt(n.weights)[:, None, None]).reshape(2 * m, count)
+    triangle: FloatArray = np.asarray(np.linalg.qr(rows, mode="r"))
+    diagonal = np.abs(np.diag(triangle))
+    if diagonal.min() <= 1e-12 * diagonal.max():
+        return FailedFit(f"the {m} points do not determine the {count} parameters")
+    there = _derivatives(model, points.reshape(-1, 2), n)
+    root = np.linalg.solve(triangle.T, there.reshape(-1, count).T).T.reshape(there.shape)
+    return np.asarray(variance * root @ root.transpose(0, 2, 1)).reshape(*points.shape[:-1], 2, 2)
+
+
+def _derivatives(model: Model, xy: FloatArray, n: Normalised) -> FloatArray:
+    """(N, 2, P) derivatives of the mapped points by parameters that span the model's freedom, in units of the fit."""
+    unit = (xy - n.reference_centre) / n.reference_scale
+    mapped = (model(xy) - n.secondary_centre) / n.secondary_scale
+    one = np.ones(len(xy))
+    if isinstance(model, Translation | Rigid | Similarity):
+        out = np.zeros((len(xy), 2, 4))
+        out[:, 0, 0] = out[:, 1, 1] = one
+        out[:, 0, 2], out[:, 1, 2] = mapped[:, 1], -mapped[:, 0]
+        out[:, :, 3] = mapped
+        return out[:, :, : {Translation: 2, Rigid: 3, Similarity: 4}[type(model)]]
+    if isinstance(model, Affine | Homography):
+        terms = np.column_stack([one, unit])
+    elif isinstance(model, Polynomial):
+        terms = polynomial_terms(unit, model.minimum)
+    else:
+        raise InputError(f"the derivatives of {type(model).__name__} are not known")
+    count = terms.shape[1]
+    out = np.zeros((len(xy), 2, 2 * count))
+    out[:, 0, :count] = out[:, 1, count:] = terms
+    if isinstance(model, Homography):
+        depth = np.column_stack([xy, one]) @ model.coefficients[2]
+        bend = -mapped[:, :, None] * unit[:, None, :]
+        out = np.concatenate([out, bend], axis=2) / depth[:, None, None]
+    return out

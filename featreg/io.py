@@ -1,0 +1,208 @@
+"""From a path or an array to an `Image` in linear amplitude, and products to GeoTIFF.
+
+The scale is never guessed in silence: non-negative real samples are amplitude, negative ones must be stated or be
+plausible decibels (then a warning is logged), anything else is an error that says what to state.
+"""
+
+from __future__ import annotations
+
+import os
+import uuid
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from featreg.errors import InputError, ParameterError, suggest
+from featreg.masks import MaskLike, as_mask, holds_nodata
+from featreg.readers import Raster, quiet, read_raster, reason
+from featreg.scales import SCALES, check_content, complex_pixels, real_pixels
+from featreg.types import BoolArray, Geolocation, Image
+
+SMALLEST = 16
+
+ImageLike = str | Path | NDArray[Any] | Image
+
+
+def as_image(
+    source: ImageLike, *, mask: MaskLike | None = None, nodata: complex | None = None, scale: str | None = None
+) -> Image:
+    """Return `source` as an `Image` of linear amplitude or complex samples.
+
+    Parameters
+    ----------
+    source : path of a GeoTIFF, PNG, JPEG, BMP or NPY file, ``file.mat:variable`` (the variable may be left out where
+        the file holds one 2-D numeric array), a 2-D numeric array, or an `Image`, which is returned as it is when
+        nothing else is given
+    mask : pixels that are data: (H, W) array, mask file or polygons; see `featreg.masks.as_mask`
+    nodata : value of the samples that are not data, before any conversion; it overrides the nodata value of a file (not
+        its mask band). Compared with linear amplitude where `source` is an `Image`. Without it, 0 is data in an array.
+    scale : what real samples are: "amplitude", "intensity" (square root is taken) or "db" (10 ** (v / 20))
+
+    Returns
+    -------
+    Image
+        Range and sign of the amplitude are kept, nothing is stretched. NaN, infinite and nodata samples are masked;
+        with a stated scale of amplitude or intensity, so are negative samples, with a logged warning.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, the array is not 2-D and numeric, the scale cannot be told, the image is smaller than
+        16 x 16, holds no valid pixel, or the same value everywhere.
+    ParameterError
+        An unknown scale, or a nodata that is no number.
+
+    Notes
+    -----
+    Real samples with negative values and no stated scale count as decibels where all lie within -90 .. 60 and at least
+    1 % are negative. Arrays are copied, never locked or shared. A scale and offset kept in a GeoTIFF are applied.
+    """
+    if scale is not None and scale not in SCALES:
+        raise ParameterError(f"unknown scale '{scale}', {suggest(scale, SCALES)}")
+    if isinstance(source, Image):
+        return _restricted(source, mask, nodata, scale)
+    if isinstance(source, str | Path):
+        return _image(read_raster(source), str(source), mask, nodata, scale, owned=True)
+    if not hasattr(source, "__array__"):
+        given = type(source).__name__
+        raise InputError(f"cannot make an image from {given}; give a path, a 2-D array or a featreg Image")
+    array = np.asarray(source)
+    hidden = np.ma.getmaskarray(source) if isinstance(source, np.ma.MaskedArray) else None
+    raster = Raster(array, array.dtype.name, None if hidden is None else ~hidden)
+    return _image(raster, "array", mask, nodata, scale, owned=False)
+
+
+def read_image(
+    path: str | Path, *, mask: MaskLike | None = None, nodata: complex | None = None, scale: str | None = None
+) -> Image:
+    """Read an image file; the same as `as_image` with a path."""
+    return as_image(Path(path), mask=mask, nodata=nodata, scale=scale)
+
+
+def _restricted(image: Image, mask: MaskLike | None, nodata: complex | None, scale: str | None) -> Image:
+    if scale not in (None, image.scale):
+        raise InputError(f"{image.name}: was already made as '{image.scale}', scale='{scale}' contradicts it")
+    valid = _combine(None, mask, holds_nodata(image.pixels, nodata), image.shape, image.name)
+    if valid is None:
+        return image
+    valid &= image.mask
+    pixels = np.where(valid, image.pixels, image.pixels.dtype.type(0))
+    check_content(pixels, valid, image.name)
+    return replace(image, pixels=pixels, mask=valid)
+
+
+def _image(
+    raster: Raster, name: str, mask: MaskLike | None, nodata: complex | None, scale: str | None, *, owned: bool
+) -> Image:
+    samples = raster.samples
+    _check_form(samples, name)
+    hole = holds_nodata(samples, raster.nodata if nodata is None else nodata)
+    valid = _combine(raster.mask, mask, hole, (samples.shape[0], samples.shape[1]), name)
+    if (raster.gain, raster.offset) != (1.0, 0.0):
+        samples = samples * raster.gain + raster.offset
+    pixels: NDArray[Any]
+    if samples.dtype.kind == "c":
+        if scale in ("intensity", "db"):
+            raise InputError(f"{name}: holds complex samples, scale='{scale}' cannot be; leave scale out")
+        pixels, valid, scale = *complex_pixels(samples, valid, name, owned), "complex"
+    else:
+        if scale == "complex":
+            raise InputError(f"{name}: holds real {samples.dtype} samples; scale is amplitude, intensity or db")
+        pixels, valid, scale = real_pixels(samples, valid, scale, name, owned)
+    if valid is None:
+        valid = np.ones(pixels.shape, np.bool_)
+    else:
+        pixels[~valid] = 0
+    return Image(pixels, valid, raster.geolocation, name, raster.dtype, scale)
+
+
+def _check_form(samples: NDArray[Any], name: str) -> None:
+    if samples.dtype.kind not in "uifc":
+        advice = "give a bool array as mask=" if samples.dtype.kind == "b" else "convert it to a numeric array"
+        raise InputError(f"{name}: holds {samples.dtype} values, real or complex numbers are needed; {advice}")
+    if samples.ndim != 2:
+        raise InputError(f"{name}: has shape {samples.shape}, one band as an (H, W) array is needed, e.g. a[..., 0]")
+    height, width = samples.shape
+    if min(height, width) < SMALLEST:
+        size = f"{width} x {height} pixels (width x height)"
+        raise InputError(f"{name}: {size} is too small, at least {SMALLEST} x {SMALLEST} is needed")
+
+
+def _combine(
+    valid: BoolArray | None, mask: MaskLike | None, hole: BoolArray | None, shape: tuple[int, int], name: str
+) -> BoolArray | None:
+    """Return a new mask that is True where all three say valid; None = everywhere."""
+    known = [] if valid is None else [valid]
+    known += [] if mask is None else [as_mask(mask, shape, name)]
+    known += [] if hole is None else [~hole]
+    for other in known[1:]:
+        known[0] &= other
+    return known[0] if known else None
+
+
+def write_geotiff(
+    path: str | Path,
+    array: NDArray[Any],
+    geolocation: Geolocation | None = None,
+    nodata: float | None = None,
+) -> None:
+    """Write an (H, W) array as a GeoTIFF; the file appears whole or not at all.
+
+    Parameters
+    ----------
+    path : an existing file is replaced
+    array : (H, W) integer, float or complex; bool is written as uint8, float16 as float32
+    geolocation : transform and CRS, or ground control points, and RPC coefficients to store
+    nodata : the value of pixels that are not data
+
+    Raises
+    ------
+    InputError
+        The array is not 2-D and numeric, or the file cannot be written.
+    """
+    path = Path(path)
+    if array.ndim != 2 or not array.size or array.dtype.kind not in "buifc":
+        raise InputError(
+            f"{path}: cannot write {array.dtype} {array.shape}, a non-empty (H, W) numeric array is needed"
+        )
+    array = array.astype({"bool": np.uint8, "float16": np.float32}.get(array.dtype.name, array.dtype), copy=False)
+    import rasterio
+
+    height, width = array.shape
+    profile = {"driver": "GTiff", "height": height, "width": width, "count": 1, "dtype": array.dtype.name}
+    profile |= {"compress": "deflate", "tiled": min(height, width) >= 256, "bigtiff": "if_safer", "nodata": nodata}
+    # In the same folder, so that the last step is a rename.
+    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
+    try:
+        with quiet(), rasterio.open(temporary.absolute(), "w", **profile, **_profile(geolocation)) as dataset:
+            dataset.write(array, 1)
+        os.replace(temporary, path)
+    except (OSError, ValueError, TypeError, rasterio.errors.RasterioError) as error:
+        message = f"{path}: cannot be written ({reason(error)}); give a file in an existing, writable folder"
+        raise InputError(message) from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _profile(geolocation: Geolocation | None) -> dict[str, Any]:
+    """Return the geolocation as rasterio's keywords."""
+    if geolocation is None:
+        return {}
+    from rasterio.control import GroundControlPoint
+    from rasterio.rpc import RPC
+    from rasterio.transform import Affine
+
+    keywords: dict[str, Any] = {} if geolocation.crs is None else {"crs": geolocation.crs}
+    if geolocation.transform is not None:
+        keywords["transform"] = Affine(*geolocation.transform)
+    elif geolocation.gcps is not None:
+        # Our points count from the centre of the first pixel, GDAL's from its corner.
+        keywords["gcps"] = [
+            GroundControlPoint(row=y + 0.5, col=x + 0.5, x=e, y=n, z=z) for x, y, e, n, z in geolocation.gcps.tolist()
+        ]
+    if geolocation.rpcs is not None:
+        keywords["rpcs"] = RPC(**geolocation.rpcs)
+    return keywords

@@ -1,0 +1,164 @@
+"""The main job as functions: match two images, fit the user's own tie points."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from featreg.assembly import DEFAULT_METHOD, assemble
+from featreg.errors import InputError, ParameterError
+from featreg.geometry import as_model
+from featreg.interfaces import Matcher, Model
+from featreg.io import ImageLike, as_image
+from featreg.masks import MaskLike
+from featreg.pipeline import Pipeline
+from featreg.timing import collecting, stage
+from featreg.types import Image, Matches, Registration
+
+logger = logging.getLogger(__name__)
+
+
+def match(
+    reference: ImageLike,
+    secondary: ImageLike,
+    *,
+    method: str | Pipeline | Matcher = DEFAULT_METHOD,
+    model: str | type[Model] | None = None,
+    seed: int = 0,
+    refine: bool | None = None,
+    n_features: int | None = None,
+    initial: Any = None,
+    search_radius: float | None = None,
+    reference_mask: MaskLike | None = None,
+    secondary_mask: MaskLike | None = None,
+    nodata: complex | None = None,
+    scale: str | None = None,
+    **keywords: Any,
+) -> Registration:
+    """Register two SAR images.
+
+    Parameters
+    ----------
+    reference, secondary : paths, 2-D arrays (real or complex) or `Image`
+    method : a preset's name (`featreg.available("method")`), a `Pipeline` or a `Matcher`
+    model : "translation", "rigid", "similarity", "affine" (default), "homography", "polynomial2", "polynomial3"
+    seed : of everything random; the same seed gives the same result
+    refine : guided sub-pixel tie points after the first model; None leaves it to the method
+    n_features : at most so many features per image and so many final tie points (default 5000)
+    initial, search_radius : a model known beforehand, or a matrix, and how far from it, in px, a match may lie
+    reference_mask, secondary_mask : pixels that are data: arrays, mask files or polygons
+    nodata : value of samples that are not data
+    scale : "amplitude", "intensity" or "db", what real samples are
+    keywords : replace a part (``detector="fast"``) or a parameter (``threshold=...``, ``**{"fsc.threshold": 2}``)
+
+    Returns
+    -------
+    Registration
+        With status "unreliable" and a reason where it cannot be trusted.
+
+    Raises
+    ------
+    InputError, UnknownNameError, ParameterError
+        An unreadable image, an unknown name, an unknown, ambiguous or impossible parameter.
+    """
+    pipeline = assemble(method, model=model, refine=refine, n_features=n_features, **keywords)
+    if not isinstance(seed, int | np.integer) or seed < 0:
+        raise ParameterError(f"seed must be a whole number >= 0, got {seed!r}")
+    known = _initial(initial, search_radius)
+    with collecting() as reading, stage("read"):
+        first = as_image(reference, mask=reference_mask, nodata=nodata, scale=scale)
+        second = as_image(secondary, mask=secondary_mask, nodata=nodata, scale=scale)
+    result = pipeline.run(first, second, seed=int(seed), initial=known, search_radius=search_radius)
+    return replace(
+        result,
+        timings={**reading, **result.timings},
+        provenance={**result.provenance, "inputs": inputs_of(first, second)},
+    )
+
+
+def fit(
+    points: Matches | Any,
+    *,
+    model: str | type[Model] | None = None,
+    filters: Any = ("fsc",),
+    seed: int = 0,
+    reference_shape: tuple[int, int] | None = None,
+    secondary_shape: tuple[int, int] | None = None,
+    **keywords: Any,
+) -> Registration:
+    """Run filters, model and trust on the user's own tie points.
+
+    Parameters
+    ----------
+    points : `Matches`, or an (M, 4) array of reference x, y, secondary x, y in pixels
+    model, filters, seed, keywords : as in `match`
+    reference_shape, secondary_shape : (H, W); without them the images are taken to end at the outermost tie points
+
+    Returns
+    -------
+    Registration
+    """
+    matches = points if isinstance(points, Matches) else _as_matches(points)
+    pipeline = assemble(_NoMatcher(), model=model, refine=False, filters=filters, **keywords)
+    shapes = [
+        tuple(given) if given is not None else _outer_shape(xy)
+        for given, xy in ((reference_shape, matches.reference_xy), (secondary_shape, matches.secondary_xy))
+    ]
+    with collecting() as timings:
+        result = pipeline.finish(matches, shapes[0], shapes[1], seed=seed, timings=timings)
+    sizes = [{"path": "tie points", "width": int(w), "height": int(h)} for h, w in shapes]
+    inputs = dict(zip(("reference", "secondary"), sizes, strict=True))
+    return replace(result, provenance={**result.provenance, "method": "tie points", "inputs": inputs})
+
+
+def inputs_of(reference: Image, secondary: Image) -> dict[str, Any]:
+    """What the result records of its two images."""
+    return {
+        role: {
+            "path": image.name,
+            "width": image.shape[1],
+            "height": image.shape[0],
+            "scale": image.scale,
+            "dtype": image.source_dtype,
+            "valid_pixels": int(np.count_nonzero(image.mask)),
+        }
+        for role, image in (("reference", reference), ("secondary", secondary))
+    }
+
+
+class _NoMatcher(Matcher):
+    """Stands for the user, who brings the tie points."""
+
+    def match(self, reference: Image, secondary: Image) -> Matches:
+        return Matches.empty()
+
+
+def _initial(initial: Any, search_radius: float | None) -> Model | None:
+    if initial is None:
+        if search_radius is not None:
+            raise ParameterError("search_radius needs initial, the model around which to search")
+        return None
+    if search_radius is None or not search_radius > 0:
+        raise ParameterError(f"initial needs search_radius > 0 px, got {search_radius}")
+    if isinstance(initial, Registration):
+        initial = initial.model
+    if isinstance(initial, Mapping):
+        raise ParameterError("initial must be a model, a matrix or a Registration, got a mapping")
+    return as_model(initial)
+
+
+def _as_matches(points: Any) -> Matches:
+    array = np.asarray(points, np.float64)
+    if array.ndim != 2 or array.shape[1] != 4:
+        raise InputError(f"tie points must be an (M, 4) array of reference x, y, secondary x, y, got {array.shape}")
+    return Matches(array[:, :2], array[:, 2:], np.ones(len(array)))
+
+
+def _outer_shape(xy: Any) -> tuple[int, int]:
+    if not len(xy):
+        return 1, 1
+    return int(np.ceil(xy[:, 1].max())) + 1, int(np.ceil(xy[:, 0].max())) + 1

@@ -1,0 +1,81 @@
+"""Corners of a map: FAST corners, their orientation, and two ways to a sub-pixel position.
+
+References
+----------
+E. Rosten, T. Drummond, "Machine learning for high-speed corner detection", ECCV 2006, DOI 10.1007/11744023_34.
+E. Rublee et al., "ORB: an efficient alternative to SIFT or SURF", ICCV 2011, DOI 10.1109/ICCV.2011.6126544.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from featreg.types import BoolArray, FloatArray, IntArray
+
+ITERATIONS = 3
+# A corner that moves farther than this, in pixels, belongs to another one.
+REACH = 1.5
+
+
+def fast_corners(image: NDArray[np.uint8], threshold: int, allowed: BoolArray) -> tuple[IntArray, FloatArray]:
+    """Return the FAST-9/16 corners of a map, local maxima of their score.
+
+    Parameters
+    ----------
+    image : (H, W) uint8
+    threshold : least difference between the centre and nine contiguous points of the circle of radius 3, 0 to 254
+    allowed : (H, W) bool, where a corner may lie
+
+    Returns
+    -------
+    xy : (N, 2) int64 pixels in reading order
+    score : (N,) float64, the largest difference at which the corner would still pass
+    """
+    from featreg.sar import corner_kernels
+
+    score = np.zeros(image.shape, np.uint8)
+    corner_kernels.fast_scores(np.ascontiguousarray(image), threshold, 3, 1, score)
+    xs, ys, values = np.empty((3, image.size // 4 + 1), np.int64)
+    count = corner_kernels.collect_maxima(score, allowed.view(np.uint8), xs, ys, values)
+    return np.column_stack([xs[:count], ys[:count]]), values[:count].astype(np.float64)
+
+
+def orientation(image: NDArray[np.float32], xy: IntArray, radius: int) -> FloatArray:
+    """Return the (N,) angle from each point to the intensity centroid of the disc of `radius` pixels around it.
+
+    Radians, counter-clockwise as seen. Every second pixel of the disc is used.
+    """
+    from featreg.sar import corner_kernels
+
+    angle = np.zeros(len(xy))
+    xs, ys = np.ascontiguousarray(xy.T)
+    corner_kernels.intensity_centroid(image, xs, ys, radius, 2, angle)
+    return angle
+
+
+def refine_centroid(edges: NDArray[np.uint8], xy: IntArray, sigma: float) -> FloatArray:
+    """Return (N, 2) sub-pixel positions: the iterated Gaussian-weighted 7 x 7 centroid of the edge strength.
+
+    A point that would move farther than 1.5 pixels stays at its pixel.
+    """
+    from featreg.sar import corner_kernels
+
+    moved = np.empty((len(xy), 2))
+    good = np.empty(len(xy), np.uint8)
+    corner_kernels.edge_centroid(edges, xy.astype(np.float64), sigma, ITERATIONS, REACH, moved, good)
+    return moved
+
+
+def refine_corner(gx: NDArray[np.float32], gy: NDArray[np.float32], xy: IntArray, sigma: float) -> FloatArray:
+    """Return (N, 2) sub-pixel positions by Eq. 6 and 7 of Wang et al. 2022, iterated: the corner of the edges around.
+
+    `gx`, `gy` are (H, W) gradients; the weight is a Gaussian of `sigma` pixels on 7 x 7. A point that would move
+    farther than 1.5 pixels, or whose equations are singular, stays at its pixel.
+    """
+    from featreg.sar import corner_kernels
+
+    moved = np.empty((len(xy), 2))
+    good = np.empty(len(xy), np.uint8)
+    corner_kernels.corner_intersection(gx, gy, xy.astype(np.float64), sigma, ITERATIONS, REACH, moved, good)
+    return moved

@@ -1,0 +1,103 @@
+"""Dense local correlation of two aligned maps: all small shifts around many points at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from featreg.types import BoolArray, FloatArray, IntArray
+
+F32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Peaks:
+    """Where the correlation around each of N points is highest.
+
+    Parameters
+    ----------
+    shift : (N, 2) float64 px, position of the peak in the second map less that in the first
+    height : (N,) float64 correlation coefficient at the best whole-pixel shift
+    curvature : (N, 2, 2) float64 per px^2, minus the Hessian of the correlation at the peak
+    sound : (N,) bool, the peak is inside the search range and curved downwards in all directions
+    """
+
+    shift: FloatArray
+    height: FloatArray
+    curvature: FloatArray
+    sound: BoolArray
+
+
+def local_correlations(first: F32, second: F32, xy: IntArray, half: int, search: int) -> FloatArray:
+    """Return the correlation coefficients of the windows around points, for every small shift.
+
+    Parameters
+    ----------
+    first, second : (H, W) float32, aligned to within `search` pixels
+    xy : (N, 2) int64 points, at least half + search + 1 pixels inside
+    half : half the window; it is 2 * half + 1 pixels wide
+    search : largest shift along x and y
+
+    Returns
+    -------
+    (N, 2 * search + 1, 2 * search + 1) float64
+        Element [i, search + dy, search + dx] for the window of `first` at xy[i] against that of `second` at
+        xy[i] + (dx, dy); 0 where a window is constant.
+    """
+    import cv2
+
+    from featreg.sar import correlation_kernels
+
+    order = np.argsort(xy[:, 1], kind="stable")
+    xs, ys = np.ascontiguousarray(xy[order].T)
+    a = first - np.float32(cv2.mean(first)[0])
+    b = second - np.float32(cv2.mean(second)[0])
+    side, count = 2 * half + 1, float((2 * half + 1) ** 2)
+    products = np.empty((len(xy), 2 * search + 1, 2 * search + 1), np.float32)
+    correlation_kernels.product_sums(a, b, xs, ys, half, search, products)
+    mean_a, mean_b = (cv2.boxFilter(m, -1, (side, side)) for m in (a, b))
+    square_a, square_b = (cv2.sqrBoxFilter(m, -1, (side, side)) for m in (a, b))
+    steps = np.arange(-search, search + 1)
+    there = (ys[:, None, None] + steps[None, :, None], xs[:, None, None] + steps[None, None, :])
+    ma, mb = mean_a[ys, xs].astype(np.float64)[:, None, None], mean_b[there].astype(np.float64)
+    va, vb = square_a[ys, xs][:, None, None] - ma**2, square_b[there] - mb**2
+    scale = np.sqrt(np.maximum(va, 0) * np.maximum(vb, 0))
+    covariance = products / count - ma * mb
+    found = np.divide(covariance, scale, out=np.zeros_like(covariance), where=scale > 1e-12)
+    back = np.empty_like(found)
+    back[order] = found
+    return back
+
+
+def peaks(correlations: FloatArray) -> Peaks:
+    """Return the highest shift of each (N, K, K) block, to sub-pixel by a quadratic through its 3 x 3 neighbourhood.
+
+    The quadratic is the least-squares one through the nine values.
+    """
+    n, side, _ = correlations.shape
+    search = side // 2
+    best = correlations.reshape(n, -1).argmax(axis=1)
+    row, col = best // side, best % side
+    inside = (row > 0) & (row < side - 1) & (col > 0) & (col < side - 1)
+    r, c = np.clip(row, 1, side - 2), np.clip(col, 1, side - 2)
+    i = np.arange(n)
+
+    def at(dy: int, dx: int) -> FloatArray:
+        return np.asarray(correlations[i, r + dy, c + dx])
+
+    left, middle, right = ([at(dy, dx) for dy in (-1, 0, 1)] for dx in (-1, 0, 1))
+    gx = (sum(right) - sum(left)) / 6
+    gy = (right[2] + middle[2] + left[2] - right[0] - middle[0] - left[0]) / 6
+    hxx = (sum(right) + sum(left) - 2 * sum(middle)) / 3
+    hyy = sum(v[2] + v[0] - 2 * v[1] for v in (left, middle, right)) / 3
+    hxy = (right[2] + left[0] - right[0] - left[2]) / 4
+    determinant = hxx * hyy - hxy**2
+    sound = inside & (determinant > 1e-12) & (hxx < 0) & (hyy < 0)
+    safe = np.where(sound, determinant, 1.0)
+    dx, dy = -(hyy * gx - hxy * gy) / safe, -(hxx * gy - hxy * gx) / safe
+    sound &= (np.abs(dx) <= 1) & (np.abs(dy) <= 1)
+    shift = np.column_stack([col - search + np.where(sound, dx, 0), row - search + np.where(sound, dy, 0)])
+    curvature = -np.stack([np.stack([hxx, hxy], -1), np.stack([hxy, hyy], -1)], -2)
+    return Peaks(shift.astype(np.float64), correlations[i, row, col], curvature, sound)

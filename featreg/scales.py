@@ -1,0 +1,106 @@
+"""What samples mean: amplitude, intensity, decibels or complex, brought to linear amplitude or complex64."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from featreg.errors import InputError
+from featreg.types import BoolArray
+
+SCALES = ("amplitude", "intensity", "db", "complex")
+DB_RANGE = (-90.0, 60.0)
+DB_NEGATIVE_SHARE = 0.01
+
+logger = logging.getLogger("featreg.io")
+
+
+def real_pixels(
+    samples: NDArray[Any], valid: BoolArray | None, scale: str | None, name: str, owned: bool
+) -> tuple[NDArray[np.float32], BoolArray | None, str]:
+    """Return amplitude, the mask (None = all valid) and the scale the samples had.
+
+    Parameters
+    ----------
+    samples : (H, W) real
+    valid : (H, W) bool known so far, None = all; not changed
+    scale : as stated, or None
+    name : what the image is called in messages
+    owned : whether `samples` may be kept instead of copied
+
+    Raises
+    ------
+    InputError
+        The scale cannot be told, or nothing but one value is left.
+    """
+    if valid is None and scale in (None, "amplitude"):
+        # The common case in two quick passes: NaN fails both comparisons.
+        low, high = samples.min(), samples.max()
+        if low >= 0 and high <= np.finfo(np.float32).max:
+            if low == high:
+                raise InputError(_constant(name, float(low)))
+            return samples.astype(np.float32, order="C", copy=not owned), None, "amplitude"
+    # Small integers and halves become float32, which holds them all; numpy would take their root in half precision.
+    values = samples.astype(np.result_type(samples.dtype, np.float32), copy=False)
+    known = np.isfinite(values)
+    valid = known if valid is None else valid & known
+    negative = (values < 0) & valid
+    below = int(negative.sum())
+    if scale is None:
+        scale = _told_scale(values[valid], below, name) if below else "amplitude"
+    elif below and scale != "db":
+        valid &= ~negative
+        logger.warning("%s: %d negative samples cannot be %s and were masked", name, below, scale)
+    with np.errstate(all="ignore"):  # samples that are not valid may do anything here
+        if scale == "db":
+            values = 10.0 ** (values / 20.0)
+        elif scale == "intensity":
+            values = np.sqrt(values)
+        pixels = values.astype(np.float32, order="C", copy=not owned and np.may_share_memory(values, samples))
+    valid &= np.isfinite(pixels)
+    check_content(pixels, valid, name)
+    return pixels, valid, scale
+
+
+def complex_pixels(
+    samples: NDArray[Any], valid: BoolArray | None, name: str, owned: bool
+) -> tuple[NDArray[np.complex64], BoolArray | None]:
+    """Return complex64 samples and the mask (None = all valid); arguments and errors as in `real_pixels`."""
+    with np.errstate(over="ignore"):
+        pixels = samples.astype(np.complex64, order="C", copy=not owned)
+    known = np.isfinite(pixels)
+    if valid is not None:
+        known &= valid
+    check_content(pixels, known, name)
+    return pixels, None if known.all() else known
+
+
+def check_content(pixels: NDArray[Any], valid: BoolArray, name: str) -> None:
+    """Raise `InputError` where no pixel is valid or all valid ones hold the same value."""
+    if not valid.any():
+        reason = "holds no valid pixel (all are NaN, infinite, nodata or masked)"
+        raise InputError(f"{name}: {reason}; check the file, mask= and nodata=")
+    first = pixels[np.unravel_index(int(valid.argmax()), valid.shape)]
+    if not ((pixels != first) & valid).any():
+        raise InputError(_constant(name, first))
+
+
+def _told_scale(values: NDArray[Any], below: int, name: str) -> str:
+    """Return the scale of valid samples, `below` of them negative, where it can be told without a silent guess."""
+    low, high = values.min(), values.max()
+    share = below / values.size
+    if DB_RANGE[0] <= low and high <= DB_RANGE[1] and share >= DB_NEGATIVE_SHARE:
+        message = "%s: values %.4g .. %.4g, %.0f %% of them negative, were taken as decibels; state scale= to be sure"
+        logger.warning(message, name, low, high, 100 * share)
+        return "db"
+    raise InputError(
+        f"{name}: {below} samples are negative (lowest {low:.6g}), so it is no amplitude and its scale cannot be told; "
+        "state scale='amplitude', 'intensity' or 'db', or the nodata value as nodata="
+    )
+
+
+def _constant(name: str, value: complex) -> str:
+    return f"{name}: every valid pixel holds the same value ({value:.6g}), an image with content is needed"

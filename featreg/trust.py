@@ -1,0 +1,194 @@
+"""The one place that decides whether a registration can be trusted.
+
+The limits were calibrated on pairs of unrelated SAR images (whole ones and random crops of different places): none may
+come out "ok". `benchmarks/trust.py` repeats the calibration.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from featreg.geometry import decompose, local_linear
+from featreg.interfaces import FailedFit, Model
+from featreg.types import BoolArray, FloatArray, Gate, Matches
+
+# Cells along the longer side of the reference in which tie points are counted once, and for the spread.
+SPREAD_CELLS = 8
+DISTINCT_PX = 6.0
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a trusted registration must reach.
+
+    Parameters
+    ----------
+    least_inliers : distinct tie points
+    least_spread : share of the cells of an 8 x 8 grid over the reference that hold an inlier
+    significance : log10 of the expected number of equally good models among chance matches, at most
+    held_out_px : median residual of tie points that were left out of the fit, at most
+    scale : the model's scale lies between 1 / scale and scale
+    anisotropy : largest ratio of the model's two scales
+    prior_px : largest mean distance from a model known beforehand
+    """
+
+    least_inliers: int = 12
+    least_spread: float = 0.08
+    significance: float = -8.0
+    held_out_px: float = 2.0
+    scale: float = 2.5
+    anisotropy: float = 1.5
+    prior_px: float = math.inf
+
+
+def assess(
+    matches: Matches,
+    putative: BoolArray,
+    supported: BoolArray,
+    inliers: BoolArray,
+    model: Model | FailedFit,
+    reference_shape: tuple[int, int],
+    secondary_shape: tuple[int, int],
+    limits: Limits,
+    initial: Model | None = None,
+) -> tuple[str, str, Mapping[str, Gate]]:
+    """Judge a registration.
+
+    Parameters
+    ----------
+    matches : all tie points
+    putative : (M,) rows that came from the matcher
+    supported : (M,) rows that survived all filters before refinement
+    inliers : (M,) the final set
+    model : the final model
+    reference_shape, secondary_shape : (H, W)
+    limits : what must be reached
+    initial : a model known beforehand, if any
+
+    Returns
+    -------
+    status, reason, gates : "ok" or "unreliable", why, and every gate with its value
+    """
+    if isinstance(model, FailedFit):
+        return "unreliable", f"no model could be fitted: {model.reason}", {}
+    gates: dict[str, Gate] = {}
+
+    def gate(name: str, value: float, meaning: str, low: float | None = None, high: float | None = None) -> None:
+        known = math.isfinite(value)
+        passed = known and (low is None or value >= low) and (high is None or value <= high)
+        gates[name] = Gate(float(value) if known else None, bool(passed), low, high, meaning)
+
+    here, there = matches.reference_xy[inliers], matches.secondary_xy[inliers]
+    gate("inliers", distinct(here, there), "distinct tie points", low=limits.least_inliers)
+    gate(
+        "spread", spread(here, reference_shape), "share of the image's cells with a tie point", low=limits.least_spread
+    )
+    gate(
+        "significance",
+        log10_chance(matches, putative, supported, model, secondary_shape),
+        "log10 of the expected number of models as good by chance",
+        high=limits.significance,
+    )
+    gate(
+        "held_out",
+        held_out(type(model), here, there),
+        "median residual of points left out, px",
+        high=limits.held_out_px,
+    )
+    height, width = reference_shape
+    centre = np.array([[(width - 1) / 2, (height - 1) / 2]])
+    linear = local_linear(model, centre)[0]
+    mirrored = float(np.linalg.det(linear)) <= 0
+    _, scale, anisotropy, _ = decompose(linear)
+    gate("scale", math.nan if mirrored else scale, "scale at the centre", low=1 / limits.scale, high=limits.scale)
+    gate("anisotropy", anisotropy, "ratio of the two scales at the centre", high=limits.anisotropy)
+    if initial is not None and math.isfinite(limits.prior_px):
+        corners = np.array([[0, 0], [width - 1, 0], [0, height - 1], [width - 1, height - 1]], np.float64)
+        apart = float(np.hypot(*(model(corners) - initial(corners)).T).mean())
+        gate("prior", apart, "mean distance from the initial model at the corners, px", high=limits.prior_px)
+    failed = [f"{name} {_text(g)}" for name, g in gates.items() if not g.passed]
+    if failed:
+        return "unreliable", "; ".join(failed), gates
+    return "ok", "", gates
+
+
+def _text(gate: Gate) -> str:
+    value = "undefined" if gate.value is None else f"{gate.value:.3g}"
+    if gate.low is not None and (gate.value is None or gate.value < gate.low):
+        return f"{value} is below {gate.low:.3g} ({gate.meaning})"
+    return f"{value} is above {gate.high:.3g} ({gate.meaning})"
+
+
+def distinct(reference_xy: FloatArray, secondary_xy: FloatArray) -> int:
+    """Number of tie points once those closer than 6 px to another, in either image, count as one."""
+    return min(
+        len(np.unique(np.floor(xy / DISTINCT_PX).astype(np.int64), axis=0)) for xy in (reference_xy, secondary_xy)
+    )
+
+
+def spread(xy: FloatArray, shape: tuple[int, int]) -> float:
+    """Share of the cells of an 8 x 8 grid over an image of (H, W) that hold a point."""
+    cells = np.floor(xy / np.array(shape[::-1]) * SPREAD_CELLS).astype(np.int64)
+    inside = ((cells >= 0) & (cells < SPREAD_CELLS)).all(axis=1)
+    return len(np.unique(cells[inside], axis=0)) / SPREAD_CELLS**2
+
+
+def log10_chance(
+    matches: Matches, putative: BoolArray, supported: BoolArray, model: Model, secondary_shape: tuple[int, int]
+) -> float:
+    """Expected number, as log10, of models that as many matches support by chance (an a-contrario test).
+
+    Parameters
+    ----------
+    matches : all tie points
+    putative, supported : (M,) rows that came from the matcher, and those of them that survived the filters
+    model : fitted to the supported ones
+    secondary_shape : (H, W)
+
+    Returns
+    -------
+    log10 of (n - m) C(n, k) C(k, m) p^(k - m) for k distinct supported of n distinct putative matches, m those that
+    the model needs, p the chance that a random point of the secondary falls within reach of where the model maps.
+
+    Notes
+    -----
+    L. Moisan, B. Stival, "A probabilistic criterion to detect rigid point matches between two images and estimate the
+    fundamental matrix", IJCV 57 (2004), DOI 10.1023/B:VISI.0000013094.38752.54. Distinct: matches whose reference and
+    secondary points fall on a common 6 px cell count once, because one structure is found on several levels.
+    """
+    kept = matches.take(supported & putative)
+    if not len(kept):
+        return 0.0
+    n = len(_cells(matches.take(putative)))
+    k = min(len(_cells(kept)), distinct(kept.reference_xy, kept.secondary_xy))
+    m = model.minimum
+    if k <= m:
+        return 0.0
+    reach = max(3.0, float(np.percentile(model.residuals(kept.reference_xy, kept.secondary_xy), 95)))
+    p = min(1.0, math.pi * (reach + DISTINCT_PX / 2) ** 2 / (secondary_shape[0] * secondary_shape[1]))
+    return math.log10(max(n - m, 1)) + _log10_choose(n, k) + _log10_choose(k, m) + (k - m) * math.log10(p)
+
+
+def _cells(matches: Matches) -> FloatArray:
+    both = np.column_stack([matches.reference_xy, matches.secondary_xy])
+    return np.asarray(np.unique(np.floor(both / DISTINCT_PX).astype(np.int64), axis=0))
+
+
+def _log10_choose(n: int, k: int) -> float:
+    return (math.lgamma(n + 1) - math.lgamma(k + 1) - math.lgamma(n - k + 1)) / math.log(10)
+
+
+def held_out(kind: type[Model], reference_xy: FloatArray, secondary_xy: FloatArray) -> float:
+    """Median residual in pixels of each half of the tie points from the model of the other half; NaN if none fits."""
+    half = np.arange(len(reference_xy)) % 2 == 0
+    residuals = []
+    for fitted in (half, ~half):
+        model = kind.from_estimate(reference_xy[fitted], secondary_xy[fitted])
+        if isinstance(model, FailedFit):
+            return math.nan
+        residuals.append(model.residuals(reference_xy[~fitted], secondary_xy[~fitted]))
+    return float(np.median(np.concatenate(residuals)))

@@ -1,0 +1,105 @@
+"""GMS: grid-based motion statistics, a filter that keeps matches whose neighbours move alike."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from featreg.errors import ParameterError
+from featreg.interfaces import Filter, FilterContext
+from featreg.registry import register
+from featreg.types import BoolArray, FloatArray, IntArray, Matches
+
+# The 3 x 3 ring in reading order, walked around once: turning by 45 degrees moves every cell one step.
+RING = np.array([(-1, -1), (0, -1), (1, -1), (1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0)])
+SCALES = (1.0, 0.5, 2**-0.5, 2**0.5, 2.0)
+
+
+@register("gms")
+@dataclass(frozen=True)
+class Gms(Filter):
+    """Keep the matches of cells whose most frequent motion is also that of the cells around.
+
+    Parameters
+    ----------
+    grid : cells along each side of the reference image
+    factor : a cell's support must reach `factor` times the square root of the mean number of matches per cell
+    rotation : try the eight turns of the neighbourhood by 45 degrees, not only the upright one
+    scale : try five ratios of the cell sizes (1/2 to 2), not only equal ones
+
+    Notes
+    -----
+    J. Bian et al., "GMS: Grid-based Motion Statistics for Fast, Ultra-robust Feature Correspondence", CVPR 2017,
+    DOI 10.1109/CVPR.2017.302. Gives the same matches as `cv2.xfeatures2d.matchGMS` (held by a test). Sizes are
+    (H, W) of the context; points outside their image are dropped, not folded onto another cell.
+    """
+
+    local: ClassVar[bool] = True
+
+    grid: int = 20
+    factor: float = 6.0
+    rotation: bool = True
+    scale: bool = False
+
+    def __post_init__(self) -> None:
+        if self.grid < 3 or self.factor <= 0:
+            raise ParameterError(f"gms needs grid >= 3 and factor > 0, got {self.grid} and {self.factor}")
+
+    def keep(self, matches: Matches, context: FilterContext) -> BoolArray:
+        best = np.zeros(len(matches), np.bool_)
+        if not len(matches):
+            return best
+        reference = _unit(matches.reference_xy, context.reference_shape)
+        secondary = _unit(matches.secondary_xy, context.secondary_shape)
+        lefts = [_cells(reference, self.grid, self.grid, dx, dy) for dy in (0.0, 0.5) for dx in (0.0, 0.5)]
+        for scale in SCALES if self.scale else SCALES[:1]:
+            side = int(self.grid * scale)
+            right = _cells(secondary, side, side, 0.0, 0.0)
+            kept = self._best_turn(lefts, right, side)
+            if kept.sum() > best.sum():
+                best = kept
+        return best
+
+    def _best_turn(self, lefts: list[IntArray], right: IntArray, side: int) -> BoolArray:
+        """The matches kept by the turn that keeps most, each turn joined over the four shifts of the grid."""
+        from featreg.sar import motion_kernels
+
+        cells = self.grid * self.grid
+        counts = np.empty((cells, side * side), np.int64)
+        population, best, passed = np.empty(cells, np.int64), np.empty(cells, np.int64), np.empty(cells, np.bool_)
+        turns = range(8) if self.rotation else range(1)
+        kept = np.zeros((len(turns), len(right)), np.bool_)
+        for left in lefts:
+            motion_kernels.count_motions(left, right, counts, population, best)
+            for turn in turns:
+                motion_kernels.verify_cells(
+                    counts, population, best, self.grid, side, side, _turned(turn), self.factor, passed
+                )
+                motion_kernels.mark_matches(left, right, best, passed, kept[turn])
+        return np.asarray(kept[int(np.argmax(kept.sum(axis=1)))])
+
+
+def _unit(xy: FloatArray, shape: tuple[int, int]) -> FloatArray:
+    """Points as shares of the image's width and height, NaN outside it."""
+    size = np.array(shape[::-1], np.float64)
+    inside = ((xy >= -0.5) & (xy < size - 0.5)).all(axis=1)
+    return np.where(inside[:, None], np.maximum(xy, 0) / size, np.nan)
+
+
+def _cells(unit: FloatArray, wide: int, high: int, dx: float, dy: float) -> IntArray:
+    """Cell number of each point on a wide x high grid moved by (dx, dy) of a cell; -1 outside."""
+    with np.errstate(invalid="ignore"):
+        x = np.floor(unit[:, 0] * wide + dx)
+        y = np.floor(unit[:, 1] * high + dy)
+        inside = (x >= (dx > 0)) & (y >= (dy > 0)) & (x < wide) & (y < high)
+    return np.where(inside, y * wide + x, -1).astype(np.int64)
+
+
+def _turned(turn: int) -> IntArray:
+    """The (dx, dy) neighbours, in reading order, after the ring was walked on by `turn` steps."""
+    ring = np.zeros((9, 2), np.int64)
+    for step, (dx, dy) in enumerate(RING):
+        ring[(dy + 1) * 3 + dx + 1] = RING[(step + turn) % 8]
+    return ring
