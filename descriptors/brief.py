@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from featreg.errors import ParameterError
 from featreg.interfaces import Descriptor
 from featreg.registry import register
-from featreg.sar.pyramid import SUPPORT, clearance, pyramid
+from featreg.sar.pyramid import SUPPORT, clear, pyramid
 from featreg.sar.speckle import despeckled
 from featreg.types import Features, FloatArray, Image
 
@@ -43,10 +43,10 @@ class Brief(Descriptor):
     the image are dropped.
     """
 
-    bits: int = 512
+    bits: int = 256
     radius: float = SUPPORT
     spread: float = 9.0
-    sigma: float = 1.5
+    sigma: float = 1.0
     levels: int = 8
     factor: float = 1.2
     oriented: bool = True
@@ -69,20 +69,19 @@ class Brief(Descriptor):
         words = np.zeros((len(features), self.bits // 64), np.uint64)
         kept = np.zeros(len(features), np.bool_)
         table = turned_pattern(self.bits, self.radius, self.spread)
+        turns = _turns(features.angle) if self.oriented else np.zeros(len(features), np.int64)
         for n, level in enumerate(chain):
             rows = np.flatnonzero(number == n)
             at = np.rint((features.xy[rows] + 0.5) * level.shape[::-1] / image.shape[::-1] - 0.5).astype(np.int64)
             inside = ((at >= 0) & (at < level.shape[::-1])).all(axis=1)
-            inside[inside] = clearance(level)[at[inside, 1], at[inside, 0]] > math.ceil(self.radius) - 1
+            inside[inside] = clear(level, self.radius)[at[inside, 1], at[inside, 0]]
             rows, at = rows[inside], at[inside]
             if not len(rows):
                 continue
-            turn = _turns(features.angle[rows]) if self.oriented else np.zeros(1, np.int64)
-            same = bool((turn == turn[0]).all())
+            used, turn = np.unique(turns[rows], return_inverse=True)
             out = np.empty((len(rows), words.shape[1]), np.uint64)
             xs, ys = np.ascontiguousarray(at.T)
-            view = despeckled(level, self.sigma)
-            binary_kernels.compare_pairs(view, xs, ys, table[turn[:1]] if same else table[turn], out)
+            binary_kernels.compare_pairs(despeckled(level, self.sigma), xs, ys, table[used], turn, out)
             words[rows] = out
             kept[rows] = True
         index = np.flatnonzero(kept)

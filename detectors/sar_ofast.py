@@ -11,7 +11,7 @@ from featreg.errors import ParameterError
 from featreg.interfaces import Detector
 from featreg.registry import register
 from featreg.sar.corners import fast_corners, orientation, refine_centroid, refine_corner
-from featreg.sar.pyramid import SUPPORT, clearance, pyramid, share_out, to_base
+from featreg.sar.pyramid import SUPPORT, clear, pyramid, share_out, to_base
 from featreg.sar.ratio import quantised_edges, ratio_gradients
 from featreg.sar.speckle import despeckled
 from featreg.types import Features, Image
@@ -29,6 +29,7 @@ class SarOfast(Detector):
     n_features : at most so many keypoints, shared out over the levels
     levels, factor : pyramid levels, and the ratio of the sizes of two neighbours
     alpha : exponential weight of the ROEWA means, in pixels of the level
+    floor : added to the means before their ratio is taken, relative to the image's mean amplitude
     threshold : least FAST score on the edge map quantised to 0..255
     quota_decay : a level gets `quota_decay` times fewer keypoints than the level before it
     support : radius in pixels of the level that must be free of nodata and of the image border
@@ -50,13 +51,14 @@ class SarOfast(Detector):
     n_features: int = 5000
     levels: int = 8
     factor: float = 1.2
-    alpha: float = 3.0
+    alpha: float = 2.0
+    floor: float = 0.1
     threshold: int = 10
-    quota_decay: float = 2.0
+    quota_decay: float = 2.5
     support: float = SUPPORT
     edge: str = "log"
     subpixel: str = "centroid"
-    sigma: float = 2.0
+    sigma: float = 1.0
 
     def __post_init__(self) -> None:
         if self.n_features < 1 or self.levels < 1 or self.factor <= 1 or self.quota_decay < 1:
@@ -76,8 +78,7 @@ class SarOfast(Detector):
         counts = share_out(self.n_features, [len(score) for _, score in found], self.quota_decay)
         parts = []
         for number, (level, (xy, score), count) in enumerate(zip(chain, found, counts, strict=True)):
-            rows = np.argsort(-score, kind="stable")[:count]
-            at = xy[rows]
+            at = xy[:count]
             scale = self.support * np.sqrt(image.mask.size / level.mask.size)
             view = despeckled(level)
             parts.append(
@@ -85,23 +86,22 @@ class SarOfast(Detector):
                     xy=to_base(self._subpixel(level, at), level, image),
                     scale=scale,
                     angle=orientation(view, at, ORIENTATION_RADIUS),
-                    score=score[rows],
-                    level=np.full(len(rows), number),
+                    score=score[:count],
+                    level=np.full(len(at), number),
                 )
             )
         everything = Features.concatenate(parts)
         return everything.take(np.argsort(-everything.score, kind="stable"))
 
     def _edges(self, level: Image) -> NDArray[np.uint8]:
-        return level.derive(quantised_edges, alpha=self.alpha, eq5=self.edge == "eq5")
+        return level.derive(quantised_edges, alpha=self.alpha, floor=self.floor, eq5=self.edge == "eq5")
 
-    def _corners(self, level: Image) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        allowed = clearance(level) > self.support
-        return fast_corners(self._edges(level), self.threshold, allowed)
+    def _corners(self, level: Image) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
+        return fast_corners(self._edges(level), self.threshold, clear(level, self.support))
 
     def _subpixel(self, level: Image, at: NDArray[np.int64]) -> NDArray[np.float64]:
         if self.subpixel == "centroid":
             return refine_centroid(self._edges(level), at, self.sigma)
         if self.subpixel == "corner":
-            return refine_corner(*ratio_gradients(level, self.alpha), at, self.sigma)
+            return refine_corner(*ratio_gradients(level, self.alpha, self.floor), at, self.sigma)
         return at.astype(np.float64)

@@ -78,9 +78,9 @@ class FeatureMatcher(Matcher):
             return None
         if (a.angle == a.angle[0]).all() or (b.angle == b.angle[0]).all():
             return None
+        first = self._describe(reference, a.best(VOTERS))
+        second = self._describe(secondary, b.best(VOTERS))
         with stage("rotation"):
-            first = self._describe(reference, a.best(VOTERS))
-            second = self._describe(secondary, b.best(VOTERS))
             pairs, _ = self.nearest.match_features(first, second)
             return common_rotation(second.angle[pairs[:, 1]] - first.angle[pairs[:, 0]])
 

@@ -14,10 +14,12 @@ from featreg.refine import Refine
 from featreg.robust import irls
 from featreg.timing import collecting, stage
 from featreg.trust import Limits, assess
-from featreg.types import BoolArray, FloatArray, Image, Matches, Registration
+from featreg.types import BoolArray, FloatArray, Image, IntArray, Matches, Registration
 
 # Errors below this, in pixels, are not told apart by the robust fit.
 SCALE_PX = 0.3
+# Rounds of the robust fit; the consensus before it is near the answer.
+ROUNDS = 5
 
 
 @dataclass(frozen=True)
@@ -142,7 +144,7 @@ class Pipeline:
     def _fit(self, matches: Matches, kept: BoolArray) -> tuple[Model | FailedFit, BoolArray]:
         """Robust fit to what the filters kept; the inliers are those the fit did not leave out, best score first."""
         here, there = matches.reference_xy[kept], matches.secondary_xy[kept]
-        model, weights = irls(self.model, here, there, scale_px=SCALE_PX)
+        model, weights = irls(self.model, here, there, scale_px=SCALE_PX, iterations=ROUNDS)
         inliers = np.zeros(len(matches), np.bool_)
         if isinstance(model, FailedFit):
             return model, inliers
@@ -157,7 +159,8 @@ class Pipeline:
         return {"method": self.name, "seed": seed, "parameters": dict(self.parameters), "versions": versions()}
 
 
-def _distinct_rows(xy: FloatArray) -> Any:
+def _distinct_rows(xy: FloatArray) -> IntArray:
     """Rows of the first of each set of equal points, in order."""
-    _, first = np.unique(xy, axis=0, return_index=True)
-    return np.sort(first)
+    order = np.lexsort(xy.T)
+    new = np.concatenate([[True], (np.diff(xy[order], axis=0) != 0).any(axis=1)]) if len(xy) else np.zeros(0, np.bool_)
+    return np.sort(order[new])

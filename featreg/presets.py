@@ -33,7 +33,15 @@ class Preset:
     common_rotation: bool = True
 
 
-_PAPER_OFAST = {"alpha": 2.0, "quota_decay": 1.2, "support": 16.0, "edge": "eq5", "subpixel": "corner"}
+_PAPER_OFAST = {
+    "alpha": 2.0,
+    "floor": 0.01,
+    "quota_decay": 1.2,
+    "support": 16.0,
+    "edge": "eq5",
+    "subpixel": "corner",
+    "sigma": 2.0,
+}
 _PAPER_BRIEF = {"bits": 256, "radius": 16.0, "spread": 6.2, "sigma": 2.0}
 
 

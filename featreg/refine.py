@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,10 +12,17 @@ from featreg.errors import ParameterError
 from featreg.interfaces import FailedFit, Model
 from featreg.robust import irls
 from featreg.sar.correlation import Peaks, local_correlations, peaks
+from featreg.sar.pyramid import clear
 from featreg.sar.speckle import despeckled
 from featreg.types import BoolArray, FloatArray, Image, IntArray, Matches
 
 F32 = NDArray[np.float32]
+
+# Pixels beyond the window that must be valid too: the shifts of the second pass, and interpolation.
+MARGIN = 4
+# Points measured in the first pass, and rounds of each robust fit.
+SAMPLE = 1000
+ROUNDS = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,39 +88,37 @@ class Refine:
         """Return at most `n_features` refined tie points around `model`; empty where the images do not correlate."""
         kind = type(model)
         none = Refined(Matches.empty(), FailedFit("no window of the two images correlates"), 0, 0)
-        here = despeckled(reference, self.sigma)
         if min(reference.shape) < 4 * self.half:
             return none
-        aligned, valid = align(secondary, model, reference, self.sigma)
-        seeds, origin = self._seeds(here, valid, matches, n_features)
-        # Pass one, at half size.
-        small = [halved(m) for m in (here, aligned)]
-        coarse = self._measure(*small, seeds // 2, self.half // 2, (self.search + 1) // 2)
-        usable = coarse.sound & (coarse.height >= self.min_correlation)
-        first, _ = self._fit(kind, seeds, model(seeds + 2 * coarse.shift), coarse, usable)
+        here, there = despeckled(reference, self.sigma), despeckled(secondary, self.sigma)
+        aligned = resampled(there, model, reference.shape)
+        small = halved(here), halved(aligned)
+        usable = self._usable(reference, secondary, model)
+        seeds, origin = self._seeds(small[0], usable, matches, n_features)
+        # Pass one: at half size, a sample of the points.
+        some = seeds[:: max(1, len(seeds) // SAMPLE)]
+        coarse = self._measure(small[0], small[1], some // 2, self.half // 2, (self.search + 1) // 2)
+        first, _, _ = self._fit(kind, model, some, 2 * coarse.shift, coarse)
         if isinstance(first, FailedFit):
             return none
-        # Pass two, at full size around the better model.
-        aligned, valid = align(secondary, first, reference, self.sigma)
-        inside = self._inside(valid, seeds)
-        seeds, origin = seeds[inside], origin[inside]
+        # Pass two: at full size around the better model.
+        if _distance(first, model, reference.shape) > 1:
+            inside = self._usable(reference, secondary, first)(seeds)
+            seeds, origin = seeds[inside], origin[inside]
+        aligned = resampled(there, first, reference.shape)
         fine = self._measure(here, aligned, seeds, self.half, 2)
-        usable = fine.sound & (fine.height >= self.min_correlation)
-        there = first(seeds + fine.shift)
-        final, weights = self._fit(kind, seeds, there, fine, usable)
+        final, there_xy, keep = self._fit(kind, first, seeds, fine.shift, fine)
         if isinstance(final, FailedFit):
             return none
-        residuals = final.residuals(seeds.astype(np.float64), there)
-        keep = usable & (weights > 0) & (residuals <= self.max_residual)
-        covariance = (1 - fine.height[keep, None, None] ** 2) * np.linalg.inv(fine.curvature[keep])
-        matches = Matches(
-            seeds[keep],
-            there[keep],
-            fine.height[keep],
-            covariance * _variance_factor(there[keep] - final(seeds[keep].astype(np.float64)), covariance),
-            origin[keep],
-        )
-        return Refined(matches, final, len(seeds), int(usable.sum()))
+        here_xy = seeds.astype(np.float64)
+        correlated = int(keep.sum())
+        keep &= final.residuals(here_xy, there_xy) <= self.max_residual
+        here_xy, there_xy = here_xy[keep], there_xy[keep]
+        height, curvature = fine.height[keep], fine.curvature[keep]
+        covariance = (1 - height[:, None, None] ** 2) * np.linalg.inv(curvature)
+        covariance *= _variance_factor(there_xy - final(here_xy), covariance)
+        refined = Matches(here_xy, there_xy, height, covariance, origin[keep])
+        return Refined(refined, final, len(seeds), correlated)
 
     def _measure(self, first: F32, second: F32, at: IntArray, half: int, search: int) -> Peaks:
         height, width = first.shape
@@ -124,63 +130,72 @@ class Refine:
         return peaks(found)
 
     def _fit(
-        self, kind: type[Model], seeds: IntArray, there: FloatArray, found: Peaks, usable: BoolArray
-    ) -> tuple[Model | FailedFit, FloatArray]:
-        """Robust fit weighted by the inverse variance of the peaks."""
-        precision = np.linalg.det(np.where(usable[:, None, None], found.curvature, np.eye(2)))
-        weights = np.sqrt(np.maximum(precision, 0)) / np.maximum(1 - found.height**2, 1e-3)
-        prior = np.where(usable, weights, 0.0)
+        self, kind: type[Model], around: Model, seeds: IntArray, shift: FloatArray, found: Peaks
+    ) -> tuple[Model | FailedFit, FloatArray, BoolArray]:
+        """Robust fit weighted by the inverse variance of the peaks: model, secondary points, and which it used."""
+        usable = found.sound & (found.height >= self.min_correlation)
+        here = seeds.astype(np.float64)
+        there = around(here + shift)
         if usable.sum() < max(3 * kind.minimum, 8):
-            return FailedFit(f"only {int(usable.sum())} of {len(seeds)} windows correlate"), prior
-        return irls(kind, seeds.astype(np.float64), there, weights=prior / prior.max(), scale_px=0.05)
+            return FailedFit(f"only {int(usable.sum())} of {len(seeds)} windows correlate"), there, usable
+        c = found.curvature
+        sharpness = np.sqrt(np.maximum(c[:, 0, 0] * c[:, 1, 1] - c[:, 0, 1] ** 2, 0))
+        prior = np.where(usable, sharpness / np.maximum(1 - found.height**2, 1e-3), 0.0)
+        model, weights = irls(kind, here, there, weights=prior / prior.max(), scale_px=0.05, iterations=ROUNDS)
+        return model, there, usable & (weights > 0)
 
-    def _inside(self, valid: BoolArray, xy: IntArray) -> BoolArray:
-        """Whether the whole window and search range around each point is valid."""
-        import cv2
+    def _usable(self, reference: Image, secondary: Image, model: Model) -> Callable[[IntArray], BoolArray]:
+        """A test of points: whether the whole window and search range around each is valid in both images."""
+        reach = self.half + MARGIN
+        here = clear(reference, reach)
+        height, width = secondary.shape
+        corners = np.array([[-reach, -reach], [reach, -reach], [-reach, reach], [reach, reach]], np.float64)
+        there = None if secondary.all_valid else clear(secondary, MARGIN)
 
-        reach = self.half + 4
-        side = 2 * reach + 1
-        clear = cv2.erode(valid.astype(np.uint8), np.ones((side, side), np.uint8), borderValue=0).astype(np.bool_)
-        return np.asarray(clear[xy[:, 1], xy[:, 0]])
+        def test(xy: IntArray) -> BoolArray:
+            good = here[xy[:, 1], xy[:, 0]].copy()
+            around = model((xy[good][:, None, :] + corners).reshape(-1, 2)).reshape(-1, 4, 2)
+            inside = ((around >= 0) & (around <= [width - 1, height - 1])).all(axis=(1, 2))
+            if there is not None:
+                # Between the corners too: the rim of nodata may bend into the window.
+                inside[inside] = _all_clear(there, model, xy[good][inside], reach)
+            good[good] = inside
+            return good
 
-    def _seeds(self, here: F32, valid: BoolArray, matches: Matches, budget: int) -> tuple[IntArray, IntArray]:
+        return test
+
+    def _seeds(
+        self, small: F32, usable: Callable[[IntArray], BoolArray], matches: Matches, budget: int
+    ) -> tuple[IntArray, IntArray]:
         """Whole-pixel points to look at, without repeats: those of the matches first, then a fill-in of (-1) points."""
-        height, width = here.shape
+        height, width = 2 * small.shape[0], 2 * small.shape[1]
         at = np.clip(np.rint(matches.reference_xy), 0, [width - 1, height - 1]).astype(np.int64)
-        origin = np.arange(len(at))
-        clear = self._inside(valid, at)
-        at, origin = at[clear], origin[clear]
+        good = usable(at)
+        at, origin = at[good], np.flatnonzero(good)
         missing = budget - len(at)
         if missing > 0:
-            fill = _strongest_of_cells(here, valid, missing, self.half + 4)
-            fill = fill[self._inside(valid, fill)]
+            fill = 2 * strongest_of_cells(small, missing, (self.half + MARGIN) // 2)
+            fill = fill[usable(fill)]
             at, origin = np.concatenate([at, fill]), np.concatenate([origin, np.full(len(fill), -1)])
         _, first = np.unique(at[:, 1] * width + at[:, 0], return_index=True)
         first = np.sort(first)[:budget]
         return at[first], origin[first]
 
 
-def align(secondary: Image, model: Model, reference: Image, sigma: float) -> tuple[F32, BoolArray]:
-    """Return the secondary's despeckled log-amplitude on the reference grid, and where both images are valid."""
+def resampled(view: F32, model: Model, shape: tuple[int, int]) -> F32:
+    """Return the map `view` of the secondary on the (H, W) grid of the reference; its rim goes on outside it."""
     import cv2
 
-    height, width = reference.shape
-    view = despeckled(secondary, sigma)
-    whole = secondary.all_valid
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    size = (shape[1], shape[0])
+    flags, border = cv2.INTER_LINEAR, cv2.BORDER_REPLICATE
     matrix = model.matrix
-    mask = None if whole else secondary.mask.astype(np.uint8) * 255
     if matrix is not None and np.array_equal(matrix[2], [0, 0, 1]):
-        warped = cv2.warpAffine(view, matrix[:2], (width, height), flags=flags, borderMode=cv2.BORDER_REPLICATE)
-        corners = np.ones(secondary.shape, np.uint8) * 255 if mask is None else mask
-        valid = cv2.warpAffine(corners, matrix[:2], (width, height), flags=flags, borderValue=0) == 255
+        warped = cv2.warpAffine(view, matrix[:2], size, flags=flags | cv2.WARP_INVERSE_MAP, borderMode=border)
     else:
-        x, y = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
-        grid = model(np.column_stack([x.ravel(), y.ravel()])).reshape(height, width, 2).astype(np.float32)
-        warped = cv2.remap(view, grid[..., 0], grid[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        corners = np.ones(secondary.shape, np.uint8) * 255 if mask is None else mask
-        valid = cv2.remap(corners, grid[..., 0], grid[..., 1], cv2.INTER_LINEAR, borderValue=0) == 255
-    return warped, valid & reference.mask
+        x, y = np.meshgrid(np.arange(shape[1], dtype=np.float64), np.arange(shape[0], dtype=np.float64))
+        grid = model(np.column_stack([x.ravel(), y.ravel()])).reshape(*shape, 2).astype(np.float32)
+        warped = cv2.remap(view, grid[..., 0], grid[..., 1], flags, borderMode=border)
+    return np.asarray(warped, np.float32)
 
 
 def halved(image: F32) -> F32:
@@ -192,23 +207,39 @@ def halved(image: F32) -> F32:
     return small
 
 
-def _strongest_of_cells(view: F32, valid: BoolArray, count: int, margin: int) -> IntArray:
+def strongest_of_cells(view: F32, count: int, margin: int) -> IntArray:
     """The pixel of strongest gradient in each cell of a regular grid of about `count` cells inside the margin."""
     import cv2
 
     height, width = view.shape
     y0, y1, x0, x1 = margin, height - margin, margin, width - margin
-    side = max(2, int(np.sqrt((y1 - y0) * (x1 - x0) / max(count, 1))))
+    side = max(1, int(np.sqrt(max(0, (y1 - y0) * (x1 - x0)) / max(count, 1))))
     rows, cols = (y1 - y0) // side, (x1 - x0) // side
     if rows < 1 or cols < 1:
         return np.zeros((0, 2), np.int64)
     strength = cv2.magnitude(cv2.Sobel(view, cv2.CV_32F, 1, 0), cv2.Sobel(view, cv2.CV_32F, 0, 1))
-    strength = np.where(valid, strength, -1)[y0 : y0 + rows * side, x0 : x0 + cols * side]
+    strength = strength[y0 : y0 + rows * side, x0 : x0 + cols * side]
     cells = strength.reshape(rows, side, cols, side).swapaxes(1, 2).reshape(rows, cols, side * side)
     best = cells.argmax(axis=2)
     y = y0 + np.arange(rows)[:, None] * side + best // side
     x = x0 + np.arange(cols)[None, :] * side + best % side
     return np.column_stack([x.ravel(), y.ravel()]).astype(np.int64)
+
+
+def _all_clear(clear_map: BoolArray, model: Model, xy: IntArray, reach: int) -> BoolArray:
+    """Whether a 7 x 7 lattice over the window around each point maps to pixels that are clear."""
+    steps = np.linspace(-reach, reach, 7)
+    lattice = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
+    at = np.rint(model((xy[:, None, :] + lattice).reshape(-1, 2))).astype(np.int64)
+    at = np.clip(at, 0, [clear_map.shape[1] - 1, clear_map.shape[0] - 1])
+    return np.asarray(clear_map[at[:, 1], at[:, 0]].reshape(len(xy), -1).all(axis=1))
+
+
+def _distance(first: Model, second: Model, shape: tuple[int, int]) -> float:
+    """Largest distance in pixels between two models at the corners of the reference."""
+    height, width = shape
+    corners = np.array([[0, 0], [width - 1, 0], [0, height - 1], [width - 1, height - 1]], np.float64)
+    return float(np.hypot(*(first(corners) - second(corners)).T).max())
 
 
 def _variance_factor(residuals: FloatArray, covariance: FloatArray) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 
 from featreg.geometry import decompose, local_linear
 from featreg.interfaces import FailedFit, Model
-from featreg.types import BoolArray, FloatArray, Gate, Matches
+from featreg.types import BoolArray, FloatArray, Gate, IntArray, Matches
 
 # Cells along the longer side of the reference in which tie points are counted once, and for the spread.
 SPREAD_CELLS = 8
@@ -124,17 +124,21 @@ def _text(gate: Gate) -> str:
 
 
 def distinct(reference_xy: FloatArray, secondary_xy: FloatArray) -> int:
-    """Number of tie points once those closer than 6 px to another, in either image, count as one."""
-    return min(
-        len(np.unique(np.floor(xy / DISTINCT_PX).astype(np.int64), axis=0)) for xy in (reference_xy, secondary_xy)
-    )
+    """Number of tie points once those that share a cell of 6 px, in either image, count as one."""
+    return min(len(np.unique(_cell(xy))) for xy in (reference_xy, secondary_xy))
+
+
+def _cell(xy: FloatArray) -> IntArray:
+    """(M,) one number for the cell of 6 px in which each point lies."""
+    x, y = np.floor(xy / DISTINCT_PX).astype(np.int64).T
+    return np.asarray(y * (1 << 24) + x)
 
 
 def spread(xy: FloatArray, shape: tuple[int, int]) -> float:
     """Share of the cells of an 8 x 8 grid over an image of (H, W) that hold a point."""
     cells = np.floor(xy / np.array(shape[::-1]) * SPREAD_CELLS).astype(np.int64)
     inside = ((cells >= 0) & (cells < SPREAD_CELLS)).all(axis=1)
-    return len(np.unique(cells[inside], axis=0)) / SPREAD_CELLS**2
+    return len(np.unique(cells[inside] @ np.array([1, SPREAD_CELLS]))) / SPREAD_CELLS**2
 
 
 def log10_chance(
@@ -163,8 +167,8 @@ def log10_chance(
     kept = matches.take(supported & putative)
     if not len(kept):
         return 0.0
-    n = len(_cells(matches.take(putative)))
-    k = min(len(_cells(kept)), distinct(kept.reference_xy, kept.secondary_xy))
+    n = _moves(matches.take(putative))
+    k = min(_moves(kept), distinct(kept.reference_xy, kept.secondary_xy))
     m = model.minimum
     if k <= m:
         return 0.0
@@ -173,9 +177,11 @@ def log10_chance(
     return math.log10(max(n - m, 1)) + _log10_choose(n, k) + _log10_choose(k, m) + (k - m) * math.log10(p)
 
 
-def _cells(matches: Matches) -> FloatArray:
-    both = np.column_stack([matches.reference_xy, matches.secondary_xy])
-    return np.asarray(np.unique(np.floor(both / DISTINCT_PX).astype(np.int64), axis=0))
+def _moves(matches: Matches) -> int:
+    """Number of distinct (reference cell, secondary cell) pairs."""
+    pairs = np.column_stack([_cell(matches.reference_xy), _cell(matches.secondary_xy)])
+    order = np.lexsort(pairs.T)
+    return int((np.diff(pairs[order], axis=0) != 0).any(axis=1).sum()) + 1 if len(pairs) else 0
 
 
 def _log10_choose(n: int, k: int) -> float:

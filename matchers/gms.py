@@ -25,7 +25,7 @@ class Gms(Filter):
     Parameters
     ----------
     grid : cells along each side of the reference image
-    factor : a cell's support must reach `factor` times the square root of the mean number of matches per cell
+    threshold_factor : a cell's support must reach `threshold_factor` times the square root of the mean number of matches per cell
     rotation : try the eight turns of the neighbourhood by 45 degrees, not only the upright one
     scale : try five ratios of the cell sizes (1/2 to 2), not only equal ones
 
@@ -39,13 +39,15 @@ class Gms(Filter):
     local: ClassVar[bool] = True
 
     grid: int = 20
-    factor: float = 6.0
+    threshold_factor: float = 6.0
     rotation: bool = True
     scale: bool = False
 
     def __post_init__(self) -> None:
-        if self.grid < 3 or self.factor <= 0:
-            raise ParameterError(f"gms needs grid >= 3 and factor > 0, got {self.grid} and {self.factor}")
+        if self.grid < 3 or self.threshold_factor <= 0:
+            raise ParameterError(
+                f"gms needs grid >= 3 and threshold_factor > 0, got {self.grid} and {self.threshold_factor}"
+            )
 
     def keep(self, matches: Matches, context: FilterContext) -> BoolArray:
         best = np.zeros(len(matches), np.bool_)
@@ -75,7 +77,7 @@ class Gms(Filter):
             motion_kernels.count_motions(left, right, counts, population, best)
             for turn in turns:
                 motion_kernels.verify_cells(
-                    counts, population, best, self.grid, side, side, _turned(turn), self.factor, passed
+                    counts, population, best, self.grid, side, side, _turned(turn), self.threshold_factor, passed
                 )
                 motion_kernels.mark_matches(left, right, best, passed, kept[turn])
         return np.asarray(kept[int(np.argmax(kept.sum(axis=1)))])

@@ -8,33 +8,37 @@ from numpy.typing import NDArray
 from featreg.jit import compiled, inlined
 
 U64 = NDArray[np.uint64]
+F32 = NDArray[np.float32]
+I64 = NDArray[np.int64]
 
 
 @compiled
-def compare_pairs(
-    image: NDArray[np.float32], xs: NDArray[np.int64], ys: NDArray[np.int64], pattern: NDArray[np.int8], bits: U64
-) -> None:
+def compare_pairs(image: F32, xs: I64, ys: I64, table: NDArray[np.int8], turns: I64, bits: U64) -> None:
     """Set bit b of point i where the first sample of pair b is darker than the second.
 
-    `pattern` (N, B, 4) or (1, B, 4) holds (x1, y1, x2, y2) offsets of each point or of all; samples must lie inside.
+    `table` (T, B, 4) holds the (x1, y1, x2, y2) offsets of the pairs for each turn, `turns` (N,) the turn of each
+    point; samples must lie inside the image.
     """
     width = image.shape[1]
     flat = image.ravel()
-    common = pattern.shape[0] == 1
-    count = pattern.shape[1]
-    first = np.zeros(count, np.int64)
-    second = np.zeros(count, np.int64)
+    count = table.shape[1]
+    first = np.zeros((table.shape[0], count), np.int64)
+    second = np.zeros((table.shape[0], count), np.int64)
+    known = np.zeros(table.shape[0], np.bool_)
     for i in range(xs.shape[0]):
-        if i == 0 or not common:
+        turn = turns[i]
+        if not known[turn]:
+            known[turn] = True
             for b in range(count):
-                first[b] = pattern[i, b, 0] + width * np.int64(pattern[i, b, 1])
-                second[b] = pattern[i, b, 2] + width * np.int64(pattern[i, b, 3])
+                first[turn, b] = table[turn, b, 0] + width * np.int64(table[turn, b, 1])
+                second[turn, b] = table[turn, b, 2] + width * np.int64(table[turn, b, 3])
+        one, two = first[turn], second[turn]
         at = ys[i] * width + xs[i]
         for word in range(count // 64):
             value = np.uint64(0)
             for b in range(64):
                 k = word * 64 + b
-                darker = flat[np.uint64(at + first[k])] < flat[np.uint64(at + second[k])]
+                darker = flat[np.uint64(at + one[k])] < flat[np.uint64(at + two[k])]
                 value |= np.uint64(darker) << np.uint64(b)
             bits[i, word] = value
 

@@ -90,8 +90,8 @@ def _peaks_of_row(above: U8, here: U8, below: U8, allowed: U8, peaks: U8) -> Non
 
 
 @compiled
-def collect_maxima(score: U8, allowed: U8, xs: I64, ys: I64, values: I64) -> int:
-    """Gather the local maxima of `score` at pixels with `allowed` != 0, in reading order; return how many.
+def collect_maxima(score: U8, allowed: U8, at: I64, values: U8) -> int:
+    """Gather flat index and score of the local maxima at pixels with `allowed` != 0, in reading order; return how many.
 
     Pixels are skipped eight at a time where nothing stands.
     """
@@ -105,9 +105,8 @@ def collect_maxima(score: U8, allowed: U8, xs: I64, ys: I64, values: I64) -> int
             if eights[k] == 0:
                 continue
             for x in range(8 * k, 8 * k + 8):
-                if peaks[x] != 0 and count < xs.shape[0]:
-                    xs[count] = x
-                    ys[count] = y
+                if peaks[x] != 0 and count < at.shape[0]:
+                    at[count] = y * width + x
                     values[count] = peaks[x]
                     count += 1
     return count
@@ -156,25 +155,31 @@ def edge_centroid(edge: U8, xy: F64, sigma: float, iterations: int, reach: float
             if -3 < k < 3:
                 ring += float(edge[cy0 + k, cx0 - 3]) + float(edge[cy0 + k, cx0 + 3])
         dark = float(edge[cy0, cx0]) < ring / 24.0
+        held_x, held_y = -1, -1
         for _ in range(iterations):
             cx, cy = int(np.rint(qx)), int(np.rint(qy))
             if cx < 3 or cy < 3 or cx >= width - 3 or cy >= height - 3:
                 good[i] = 0
                 break
-            low, high = 255.0, 0.0
-            for r in range(7):
-                for c in range(7):
-                    v = float(edge[cy + r - 3, cx + c - 3])
-                    patch[r, c] = v
-                    low = min(low, v)
-                    high = max(high, v)
+            if cx != held_x or cy != held_y:
+                held_x, held_y = cx, cy
+                low, high = 255.0, 0.0
+                for r in range(7):
+                    for c in range(7):
+                        v = float(edge[cy + r - 3, cx + c - 3])
+                        patch[r, c] = v
+                        low = min(low, v)
+                        high = max(high, v)
+                for r in range(7):
+                    for c in range(7):
+                        patch[r, c] = high - patch[r, c] if dark else patch[r, c] - low
             for k in range(7):
                 wx[k] = np.exp(fall * (cx + k - 3 - qx) ** 2)
                 wy[k] = np.exp(fall * (cy + k - 3 - qy) ** 2)
             total, sx, sy = 0.0, 0.0, 0.0
             for r in range(7):
                 for c in range(7):
-                    v = (high - patch[r, c] if dark else patch[r, c] - low) * wx[c] * wy[r]
+                    v = patch[r, c] * wx[c] * wy[r]
                     total += v
                     sx += v * (cx + c - 3)
                     sy += v * (cy + r - 3)
@@ -185,7 +190,10 @@ def edge_centroid(edge: U8, xy: F64, sigma: float, iterations: int, reach: float
             if (nx - x0) ** 2 + (ny - y0) ** 2 > reach * reach:
                 good[i] = 0
                 break
+            step = abs(nx - qx) + abs(ny - qy)
             qx, qy = nx, ny
+            if step < 1e-2:
+                break
         moved[i, 0] = qx if good[i] else x0
         moved[i, 1] = qy if good[i] else y0
 

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from featreg.types import BoolArray, FloatArray, IntArray
 
-ITERATIONS = 3
+CENTROID_ITERATIONS = 10
+CORNER_ITERATIONS = 3
 # A corner that moves farther than this, in pixels, belongs to another one.
-REACH = 1.5
+REACH = 2.0
 
 
-def fast_corners(image: NDArray[np.uint8], threshold: int, allowed: BoolArray) -> tuple[IntArray, FloatArray]:
+def fast_corners(image: NDArray[np.uint8], threshold: int, allowed: BoolArray) -> tuple[IntArray, NDArray[np.uint8]]:
     """Return the FAST-9/16 corners of a map, local maxima of their score.
 
     Parameters
@@ -29,16 +30,19 @@ def fast_corners(image: NDArray[np.uint8], threshold: int, allowed: BoolArray) -
 
     Returns
     -------
-    xy : (N, 2) int64 pixels in reading order
-    score : (N,) float64, the largest difference at which the corner would still pass
+    xy : (N, 2) int64 pixels, best score first, equal scores in reading order
+    score : (N,) uint8, the smallest difference along the best arc
     """
     from featreg.sar import corner_kernels
 
     score = np.zeros(image.shape, np.uint8)
     corner_kernels.fast_scores(np.ascontiguousarray(image), threshold, 3, 1, score)
-    xs, ys, values = np.empty((3, image.size // 4 + 1), np.int64)
-    count = corner_kernels.collect_maxima(score, allowed.view(np.uint8), xs, ys, values)
-    return np.column_stack([xs[:count], ys[:count]]), values[:count].astype(np.float64)
+    room = image.size // 4 + 1
+    at, values = np.empty(room, np.int64), np.empty(room, np.uint8)
+    count = corner_kernels.collect_maxima(score, allowed.view(np.uint8), at, values)
+    order = np.argsort(255 - values[:count], kind="stable")
+    y, x = np.divmod(at[order], image.shape[1])
+    return np.column_stack([x, y]), values[order]
 
 
 def orientation(image: NDArray[np.float32], xy: IntArray, radius: int) -> FloatArray:
@@ -57,13 +61,13 @@ def orientation(image: NDArray[np.float32], xy: IntArray, radius: int) -> FloatA
 def refine_centroid(edges: NDArray[np.uint8], xy: IntArray, sigma: float) -> FloatArray:
     """Return (N, 2) sub-pixel positions: the iterated Gaussian-weighted 7 x 7 centroid of the edge strength.
 
-    A point that would move farther than 1.5 pixels stays at its pixel.
+    A point that would move farther than 2 pixels stays at its pixel.
     """
     from featreg.sar import corner_kernels
 
     moved = np.empty((len(xy), 2))
     good = np.empty(len(xy), np.uint8)
-    corner_kernels.edge_centroid(edges, xy.astype(np.float64), sigma, ITERATIONS, REACH, moved, good)
+    corner_kernels.edge_centroid(edges, xy.astype(np.float64), sigma, CENTROID_ITERATIONS, REACH, moved, good)
     return moved
 
 
@@ -71,11 +75,11 @@ def refine_corner(gx: NDArray[np.float32], gy: NDArray[np.float32], xy: IntArray
     """Return (N, 2) sub-pixel positions by Eq. 6 and 7 of Wang et al. 2022, iterated: the corner of the edges around.
 
     `gx`, `gy` are (H, W) gradients; the weight is a Gaussian of `sigma` pixels on 7 x 7. A point that would move
-    farther than 1.5 pixels, or whose equations are singular, stays at its pixel.
+    farther than 2 pixels, or whose equations are singular, stays at its pixel.
     """
     from featreg.sar import corner_kernels
 
     moved = np.empty((len(xy), 2))
     good = np.empty(len(xy), np.uint8)
-    corner_kernels.corner_intersection(gx, gy, xy.astype(np.float64), sigma, ITERATIONS, REACH, moved, good)
+    corner_kernels.corner_intersection(gx, gy, xy.astype(np.float64), sigma, CORNER_ITERATIONS, REACH, moved, good)
     return moved

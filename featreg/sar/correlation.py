@@ -54,18 +54,10 @@ def local_correlations(first: F32, second: F32, xy: IntArray, half: int, search:
     xs, ys = np.ascontiguousarray(xy[order].T)
     a = first - np.float32(cv2.mean(first)[0])
     b = second - np.float32(cv2.mean(second)[0])
-    side, count = 2 * half + 1, float((2 * half + 1) ** 2)
-    products = np.empty((len(xy), 2 * search + 1, 2 * search + 1), np.float32)
-    correlation_kernels.product_sums(a, b, xs, ys, half, search, products)
-    mean_a, mean_b = (cv2.boxFilter(m, -1, (side, side)) for m in (a, b))
-    square_a, square_b = (cv2.sqrBoxFilter(m, -1, (side, side)) for m in (a, b))
-    steps = np.arange(-search, search + 1)
-    there = (ys[:, None, None] + steps[None, :, None], xs[:, None, None] + steps[None, None, :])
-    ma, mb = mean_a[ys, xs].astype(np.float64)[:, None, None], mean_b[there].astype(np.float64)
-    va, vb = square_a[ys, xs][:, None, None] - ma**2, square_b[there] - mb**2
-    scale = np.sqrt(np.maximum(va, 0) * np.maximum(vb, 0))
-    covariance = products / count - ma * mb
-    found = np.divide(covariance, scale, out=np.zeros_like(covariance), where=scale > 1e-12)
+    side = 2 * half + 1
+    found = np.empty((len(xy), 2 * search + 1, 2 * search + 1))
+    mean, square = cv2.boxFilter(b, -1, (side, side)), cv2.sqrBoxFilter(b, -1, (side, side))
+    correlation_kernels.correlations(a, b, mean, square, xs, ys, half, search, found)
     back = np.empty_like(found)
     back[order] = found
     return back

@@ -39,35 +39,58 @@ def _window_total(sums: F32, start: int, count: int) -> float:
 
 
 @compiled
-def product_sums(a: F32, b: F32, xs: I64, ys: I64, half: int, search: int, out: F32) -> None:
-    """Fill out[i, dy, dx] with the sum over the window of a[p] * b[p + (dx, dy)] around each point, by running sums.
+def window_sums(a: F32, b: F32, xs: I64, ys: I64, half: int, margin: int, dx: int, dy: int, out: F32) -> None:
+    """Fill out[i] with the sum over the window of a[p] * b[p + (dx, dy)] around each point, by running sums.
 
-    Points are sorted by y and lie at least half + search pixels inside. The cost hardly grows with their number: each
-    shift moves one row of column sums down the image, and a point adds up the columns of its window.
+    Points are sorted by y and lie at least half + margin pixels inside, margin >= |dx|, |dy|. The cost hardly grows
+    with their number: one row of column sums moves down the image, and a point adds up the columns of its window.
     """
     height, width = a.shape
-    inner = width - 2 * search
+    inner = width - 2 * margin
     sums = np.zeros(inner, np.float32)
+    first, left = half + margin, margin + dx
+    for y in range(first - half, first + half + 1):
+        _enter_window(a[y, margin : margin + inner], b[y + dy, left : left + inner], sums)
+    point = 0
+    for y in range(first, height - first):
+        if y > first:
+            top, bottom = y - half - 1, y + half
+            _move_window(
+                a[bottom, margin : margin + inner],
+                b[bottom + dy, left : left + inner],
+                a[top, margin : margin + inner],
+                b[top + dy, left : left + inner],
+                sums,
+            )
+        while point < ys.shape[0] and ys[point] == y:
+            out[point] = _window_total(sums, xs[point] - margin - half, 2 * half + 1)
+            point += 1
+        if point == ys.shape[0]:
+            break
+
+
+@compiled
+def correlations(
+    a: F32, b: F32, mean_b: F32, square_b: F32, xs: I64, ys: I64, half: int, search: int, out: NDArray[np.float64]
+) -> None:
+    """Fill out[i, dy, dx] with the correlation coefficient of the windows of `a` at a point and of `b` shifted.
+
+    `mean_b` and `square_b` (H, W) are the means of b and of b^2 over the window around every pixel.
+    """
+    n = xs.shape[0]
+    ones = np.ones_like(a)
+    count = np.float32((2 * half + 1) ** 2)
+    mean, square, product = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.float32)
+    window_sums(a, ones, xs, ys, half, search, 0, 0, mean)
+    window_sums(a, a, xs, ys, half, search, 0, 0, square)
     for dy in range(-search, search + 1):
         for dx in range(-search, search + 1):
-            sums[:] = 0
-            first = half + search
-            left = search + dx
-            for y in range(first - half, first + half):
-                _enter_window(a[y, search : search + inner], b[y + dy, left : left + inner], sums)
-            point = 0
-            for y in range(first, height - first):
-                top, bottom = y - half - 1, y + half
-                if y == first:
-                    _enter_window(a[bottom, search : search + inner], b[bottom + dy, left : left + inner], sums)
-                else:
-                    _move_window(
-                        a[bottom, search : search + inner],
-                        b[bottom + dy, left : left + inner],
-                        a[top, search : search + inner],
-                        b[top + dy, left : left + inner],
-                        sums,
-                    )
-                while point < ys.shape[0] and ys[point] == y:
-                    out[point, dy + search, dx + search] = _window_total(sums, xs[point] - search - half, 2 * half + 1)
-                    point += 1
+            window_sums(a, b, xs, ys, half, search, dx, dy, product)
+            for i in range(n):
+                x, y = xs[i] + dx, ys[i] + dy
+                ma, mb = np.float64(mean[i] / count), np.float64(mean_b[y, x])
+                va = np.float64(square[i] / count) - ma * ma
+                vb = np.float64(square_b[y, x]) - mb * mb
+                scale = np.sqrt(max(va, 0.0) * max(vb, 0.0))
+                covariance = np.float64(product[i] / count) - ma * mb
+                out[i, dy + search, dx + search] = covariance / scale if scale > 1e-12 else 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -21,7 +22,9 @@ def pyramid(image: Image, levels: int = 8, factor: float = 1.2) -> tuple[Image, 
     averages is valid. Linear interpolation between neighbours, because at steps of 1.2 it averages as area weighting
     does, at a tenth of its cost.
     """
-    return image.derive(_pyramid, levels=levels, factor=float(factor))
+    base = image.derive(_amplitude_image) if image.is_complex else image
+    # The image itself stays out of its store of derived maps: a cycle would keep all of them alive until collected.
+    return (base, *base.derive(_smaller, levels=levels, factor=float(factor)))
 
 
 def to_base(xy: FloatArray, level: Image, base: Image) -> FloatArray:
@@ -42,16 +45,20 @@ def share_out(total: int, supply: Sequence[int], decay: float) -> list[int]:
     return [int(count) for count in counts]
 
 
-def clearance(image: Image) -> NDArray[np.float32]:
-    """Return the (H, W) float32 distance in pixels of every pixel to the nearest invalid pixel or to the outside."""
-    return image.derive(_clearance)
+def clear(image: Image, radius: float) -> BoolArray:
+    """Return the (H, W) bool map of pixels around which a square of `radius` pixels is valid and inside the image."""
+    return image.derive(_clear, reach=math.ceil(radius))
 
 
-def _pyramid(image: Image, levels: int, factor: float) -> tuple[Image, ...]:
+def _amplitude_image(image: Image) -> Image:
+    return Image(image.amplitude, image.mask, source_dtype=image.source_dtype)
+
+
+def _smaller(image: Image, levels: int, factor: float) -> tuple[Image, ...]:
     import cv2
 
     height, width = image.shape
-    chain = [Image(image.amplitude, image.mask, source_dtype=image.source_dtype) if image.is_complex else image]
+    chain = [image]
     for level in range(1, levels):
         size = (round(width / factor**level), round(height / factor**level))
         if min(size) < SMALLEST:
@@ -66,16 +73,16 @@ def _pyramid(image: Image, levels: int, factor: float) -> tuple[Image, ...]:
             mask = share > 0.999
             pixels[~mask] = 0
         chain.append(Image(np.asarray(pixels, np.float32), mask, source_dtype=image.source_dtype))
-    return tuple(chain)
+    return tuple(chain[1:])
 
 
-def _clearance(image: Image) -> NDArray[np.float32]:
+def _clear(image: Image, reach: int) -> BoolArray:
     import cv2
 
-    height, width = image.shape
     if image.all_valid:
-        x, y = np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32)
-        return np.minimum(np.minimum(x, x[::-1])[None, :], np.minimum(y, y[::-1])[:, None]) + np.float32(1)
-    inside = np.pad(image.mask.astype(np.uint8), 1)
-    distance: NDArray[np.float32] = cv2.distanceTransform(inside, cv2.DIST_L2, cv2.DIST_MASK_5)
-    return np.ascontiguousarray(distance[1:-1, 1:-1])
+        inside = np.zeros(image.shape, np.bool_)
+        inside[reach : image.shape[0] - reach, reach : image.shape[1] - reach] = True
+        return inside
+    square = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+    eroded = cv2.erode(image.mask.view(np.uint8), square, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    return np.asarray(eroded).view(np.bool_)

@@ -15,17 +15,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import ParameterError
+from featreg.sar.speckle import filled_amplitude
 from featreg.types import BoolArray, Image
 
 F32 = NDArray[np.float32]
 
-# Relative to the image's mean amplitude; keeps the ratio finite, and 1, where both means vanish.
-FLOOR = 1e-3
+# Added to both means, relative to the image's mean amplitude; keeps the ratio finite, and 1, where both vanish.
+FLOOR = 1e-2
 # A side that holds less than this share of the other side's weight (border, nodata) gives no gradient.
 LEAST_SUPPORT = 0.02
+# Pixels from which the quantiles of an edge map are taken.
+SAMPLE = 5_000
 
 
-def ratio_gradients(image: Image, alpha: float = 2.0) -> tuple[F32, F32]:
+def ratio_gradients(image: Image, alpha: float = 2.0, floor: float = FLOOR) -> tuple[F32, F32]:
     """Return the logarithmic ratio gradients of an image.
 
     Parameters
@@ -34,6 +37,8 @@ def ratio_gradients(image: Image, alpha: float = 2.0) -> tuple[F32, F32]:
         Amplitude (of any number of looks) or complex; the mask is honoured: invalid pixels have no weight.
     alpha : float
         Exponential weight in pixels, > 0: a pixel at distance d along an axis weighs exp(-d / alpha).
+    floor : float
+        Added to both means, relative to the mean amplitude of the image: what lies far below it is noise and shadow.
 
     Returns
     -------
@@ -52,25 +57,25 @@ def ratio_gradients(image: Image, alpha: float = 2.0) -> tuple[F32, F32]:
     one-sided means exclude the pixel itself. Eq. 4's T is ``exp(abs(g))``. The means come from first-order recursions,
     so the cost does not depend on alpha.
     """
-    return image.derive(_ratio_gradients, alpha=float(alpha))
+    return image.derive(_ratio_gradients, alpha=float(alpha), floor=float(floor))
 
 
-def _ratio_gradients(image: Image, alpha: float) -> tuple[F32, F32]:
+def _ratio_gradients(image: Image, alpha: float, floor: float) -> tuple[F32, F32]:
     mask = None if image.all_valid else image.mask
-    return roewa(image.amplitude, alpha, mask)
+    return roewa(image.amplitude, alpha, mask, floor)
 
 
-def roewa(amplitude: F32, alpha: float, mask: BoolArray | None = None) -> tuple[F32, F32]:
+def roewa(amplitude: F32, alpha: float, mask: BoolArray | None = None, floor: float = FLOOR) -> tuple[F32, F32]:
     """As `ratio_gradients`, of a plain (H, W) float32 array; `mask` is (H, W) bool, True = valid."""
     gx, gy = np.empty((2, *amplitude.shape), np.float32)
-    _means_to_ratios(amplitude, alpha, mask, gx, gy, np.empty((0, amplitude.shape[1]), np.float32))
+    _means_to_ratios(amplitude, alpha, mask, floor, gx, gy, np.empty((0, amplitude.shape[1]), np.float32))
     if mask is None:
         gx[:, [0, -1]] = 0
         gy[[0, -1]] = 0
         return gx, gy
     # The weights that exist on either side are the same sums of the mask; their log ratio is taken off.
     wx, wy = np.empty((2, *amplitude.shape), np.float32)
-    _means_to_ratios(mask.astype(np.float32), alpha, mask, wx, wy, np.empty((0, amplitude.shape[1]), np.float32))
+    _means_to_ratios(mask.astype(np.float32), alpha, mask, 1e-6, wx, wy, np.empty((0, amplitude.shape[1]), np.float32))
     limit = -math.log(LEAST_SUPPORT)
     for gradient, weights in ((gx, wx), (gy, wy)):
         gradient -= weights
@@ -78,17 +83,19 @@ def roewa(amplitude: F32, alpha: float, mask: BoolArray | None = None) -> tuple[
     return gx, gy
 
 
-def roewa_strength(amplitude: F32, alpha: float) -> F32:
+def roewa_strength(amplitude: F32, alpha: float, floor: float = FLOOR) -> F32:
     """Return the (H, W) float32 length of `roewa`'s gradient of a plain array, without storing the gradient."""
     rows = np.empty((2, 1, amplitude.shape[1]), np.float32)
     strength = np.empty(amplitude.shape, np.float32)
-    _means_to_ratios(amplitude, alpha, None, rows[0], rows[1], strength)
+    _means_to_ratios(amplitude, alpha, None, floor, rows[0], rows[1], strength)
     strength[[0, -1]] = 0
     strength[:, [0, -1]] = 0
     return strength
 
 
-def _means_to_ratios(amplitude: F32, alpha: float, mask: BoolArray | None, gx: F32, gy: F32, strength: F32) -> None:
+def _means_to_ratios(
+    amplitude: F32, alpha: float, mask: BoolArray | None, floor: float, gx: F32, gy: F32, strength: F32
+) -> None:
     """Run the recursions; without a mask the weights that exist on each side are known in closed form."""
     if not (math.isfinite(alpha) and alpha > 0):
         raise ParameterError(f"alpha must be a positive number of pixels, got {alpha}")
@@ -107,8 +114,8 @@ def _means_to_ratios(amplitude: F32, alpha: float, mask: BoolArray | None, gx: F
         balance = np.zeros(width, np.float32), np.zeros(height, np.float32)
         mean = float(amplitude.sum(dtype=np.float64)) / max(1, int(np.count_nonzero(mask)))
     side = _two_sided_weights(height, decay) * decay / (1 - decay)
-    floor = (max(FLOOR * mean, 1e-30) * side).astype(np.float32)
-    ratio_kernels.log_ratios(left, right, np.float32(decay), floor, *balance, up, gx, gy, strength)
+    small = (max(floor * mean, 1e-30) * side).astype(np.float32)
+    ratio_kernels.log_ratios(left, right, np.float32(decay), small, *balance, up, gx, gy, strength)
 
 
 def edge_strength(gx: F32, gy: F32, *, eq5: bool = False) -> F32:
@@ -125,21 +132,27 @@ def edge_strength(gx: F32, gy: F32, *, eq5: bool = False) -> F32:
     return np.asarray(strength, np.float32)
 
 
-def quantised_edges(image: Image, alpha: float, eq5: bool = False) -> NDArray[np.uint8]:
-    """Return the (H, W) uint8 edge map: 255 stands for the 99.9th percentile of the edge strength and above.
+def quantised_edges(image: Image, alpha: float, floor: float = FLOOR, eq5: bool = False) -> NDArray[np.uint8]:
+    """Return the (H, W) uint8 edge map.
 
-    A percentile, not the maximum, because a single ship or corner reflector must not darken all other edges.
+    255 stands for the 99.9th percentile of the edge strength or five times its median, whichever is less, and for all
+    above: neither a single ship nor the rim of a black border may darken all other edges. Invalid pixels count as the
+    mean amplitude, so the map is right to 1 % only where these are at least five alpha away; without `eq5`, that is,
+    which takes the exact gradients.
     """
     import cv2
 
-    if image.all_valid and not eq5:
-        strength = roewa_strength(image.amplitude, alpha)
+    if eq5:
+        strength = edge_strength(*ratio_gradients(image, alpha, floor), eq5=True)
     else:
-        strength = edge_strength(*ratio_gradients(image, alpha), eq5=eq5)
-    sample = strength[::3, ::3][image.mask[::3, ::3]]
+        strength = roewa_strength(filled_amplitude(image), alpha, floor)
+    step = max(1, math.isqrt(strength.size // SAMPLE))
+    sample = strength[::step, ::step][image.mask[::step, ::step]]
     if not sample.size:
         return np.zeros(image.shape, np.uint8)
-    top = float(np.partition(sample, rank := int(0.999 * (sample.size - 1)))[rank])
+    middle, high = sample.size // 2, int(0.999 * (sample.size - 1))
+    ranked = np.partition(sample, [middle, high])
+    top = min(float(ranked[high]), 5 * float(ranked[middle])) or float(ranked[high])
     if not top > 0:
         return np.zeros(image.shape, np.uint8)
     quantised: NDArray[np.uint8] = cv2.convertScaleAbs(strength, alpha=255.0 / top)

@@ -106,9 +106,23 @@ def _log_ratio(above: F32, below: F32, floor: np.float32, balance: F32, out: F32
 
 
 @compiled
-def _length(gx: F32, gy: F32, out: F32) -> None:
-    for x in range(gx.shape[0]):
-        out[x] = np.sqrt(gx[x] * gx[x] + gy[x] * gy[x])
+def _squared_log_ratio(above: F32, below: F32, floor: np.float32, balance: F32, out: F32) -> None:
+    """Square of the log ratio by 2 atanh(u) = 2 (u + u^3 / 3 + u^5 / 5 + ...), u = difference / sum.
+
+    To 1 % at ratios below 6, and growing with the ratio beyond; half the cost of the logarithm.
+    """
+    third, fifth, seventh = np.float32(1 / 3), np.float32(1 / 5), np.float32(1 / 7)
+    for x in range(above.shape[0]):
+        u = (above[x] - below[x]) / (above[x] + below[x] + floor + floor)
+        q = u * u
+        log = np.float32(2) * u * (np.float32(1) + q * (third + q * (fifth + q * seventh))) - balance[x]
+        out[x] = log * log
+
+
+@compiled
+def _length(gx2: F32, gy2: F32, out: F32) -> None:
+    for x in range(gx2.shape[0]):
+        out[x] = np.sqrt(gx2[x] + gy2[x])
 
 
 @compiled
@@ -120,8 +134,7 @@ def log_ratios(
 
     `up` (2, H, W) is scratch for the downward pass. `floor` (H,) is added to every sum, in units of the sums of that
     row; `balance_x` (W,), `balance_y` (H,) are the log ratios of the weights that exist on the two sides. Where
-    `strength` is (H, W) it gets the length of the gradient and `gx`, `gy` may be single rows; else it is (0, W). The
-    short loops stand in functions of their own: only so does the compiler prove them free of overlap and vectorise.
+    `strength` is (H, W) it gets the length of the gradient and `gx`, `gy` are single rows; else it is (0, W). The short loops stand in functions of their own: only so does the compiler prove them free of overlap and vectorise.
     """
     height, width = left.shape
     up[0, 0] = left[0]
@@ -135,20 +148,25 @@ def log_ratios(
     under = np.zeros(width + 1, np.float32)
     level = np.zeros(width, np.float32)
     one = np.float32(1)
+    only_length = strength.shape[0] > 0
     for y in range(height - 1, -1, -1):
-        row = y if gx.shape[0] > 1 else 0
         _sum(up[0, y], down_left, decay, under[1:])
         _sum(up[1, y], down_right, one, over)
         under[0] = 0
-        _log_ratio(over, under[:width], floor[y], balance_x, gx[row])
+        if only_length:
+            _squared_log_ratio(over, under[:width], floor[y], balance_x, gx[0])
+        else:
+            _log_ratio(over, under[:width], floor[y], balance_x, gx[y])
         if y > 0:
             _sum(up[0, y - 1], up[1, y - 1], decay, under[:width])
         else:
             under[:] = 0
         _sum(down_left, down_right, one, over)
         level[:] = balance_y[y]
-        _log_ratio(over, under[:width], floor[y], level, gy[row])
-        if strength.shape[0]:
-            _length(gx[row], gy[row], strength[y])
+        if only_length:
+            _squared_log_ratio(over, under[:width], floor[y], level, gy[0])
+            _length(gx[0], gy[0], strength[y])
+        else:
+            _log_ratio(over, under[:width], floor[y], level, gy[y])
         _retreat(left[y], decay, down_left)
         _retreat(right[y], decay, down_right)

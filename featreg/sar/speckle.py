@@ -16,26 +16,41 @@ FLOOR = 1e-2
 def log_amplitude(image: Image) -> F32:
     """Return the (H, W) float32 natural logarithm of the amplitude, in which speckle is additive.
 
-    Amplitudes are floored at 1 % of their mean; invalid pixels hold the mean of the valid logarithms, so that smooth
-    filters near them stay in range.
+    Amplitudes are floored at 1 % of their mean; invalid pixels count as the mean amplitude, so that smooth filters near
+    them stay in range.
     """
     return image.derive(_log_amplitude)
 
 
-def despeckled(image: Image, sigma: float = 1.5) -> F32:
+def despeckled(image: Image, sigma: float = 1.0) -> F32:
     """Return the (H, W) float32 log-amplitude smoothed by a Gaussian of `sigma` pixels, for comparing intensities."""
     return image.derive(_despeckled, sigma=float(sigma))
+
+
+def filled_amplitude(image: Image) -> F32:
+    """Return the (H, W) float32 amplitude with invalid pixels at the mean of the valid ones."""
+    return image.amplitude if image.all_valid else image.derive(_filled_amplitude)
+
+
+def _filled_amplitude(image: Image) -> F32:
+    amplitude = image.amplitude.copy()
+    amplitude[~image.mask] = mean_amplitude(image)
+    return amplitude
+
+
+def mean_amplitude(image: Image) -> float:
+    """Return the mean amplitude of the valid pixels (0 where there is none)."""
+    import cv2
+
+    total = float(cv2.mean(image.amplitude)[0]) * image.mask.size
+    return total / max(int(np.count_nonzero(image.mask)), 1)
 
 
 def _log_amplitude(image: Image) -> F32:
     import cv2
 
-    amplitude = image.amplitude
-    mean = float(cv2.mean(amplitude)[0]) * image.mask.size / max(int(np.count_nonzero(image.mask)), 1)
-    logarithm: F32 = cv2.log(np.maximum(amplitude, max(FLOOR * mean, 1e-30)))
-    if not image.all_valid and image.mask.any():
-        logarithm[~image.mask] = logarithm[image.mask].mean()
-    return logarithm
+    mean = mean_amplitude(image)
+    return np.asarray(cv2.log(np.maximum(filled_amplitude(image), max(FLOOR * mean, 1e-30))), np.float32)
 
 
 def _despeckled(image: Image, sigma: float) -> F32:

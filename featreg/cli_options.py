@@ -1,0 +1,219 @@
+"""What the commands share: options, `--set key=value`, checks of output paths, threads, progress."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any, TypeAlias
+
+import typer
+
+from featreg.errors import InputError, ParameterError, suggest
+
+COMPILING = "compiling kernels, the first time only (about half a minute)"
+#: Keywords of `featreg.match` that are options of their own on the command line.
+OWN_OPTIONS = {
+    "method": "--method",
+    "model": "--model",
+    "seed": "--seed",
+    "refine": "--refine or --no-refine",
+    "n_features": "--n-features",
+    "scale": "--scale",
+    "nodata": "--nodata",
+    "initial": "--initial",
+    "search_radius": "--search-radius",
+    "reference_mask": "--mask-reference",
+    "secondary_mask": "--mask-secondary",
+}
+WORDS = {"true": True, "false": False, "none": None, "inf": float("inf"), "-inf": float("-inf"), "nan": float("nan")}
+#: Read by the numeric libraries when they are first imported.
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+ModelOption: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        "--model",
+        metavar="NAME",
+        help="Geometric model: translation, rigid, similarity, affine, homography, polynomial2 or polynomial3.",
+        show_default="affine",
+    ),
+]
+SetOption: TypeAlias = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Replace a part (detector=fast, filters=gms,fsc) or a parameter (fsc.threshold=2) of the method; may be "
+        "repeated. `featreg list` names them all.",
+        show_default=False,
+    ),
+]
+SeedOption: TypeAlias = Annotated[
+    int, typer.Option("--seed", min=0, metavar="N", help="Of everything random; equal seeds give equal results.")
+]
+ScaleOption: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        "--scale",
+        metavar="SCALE",
+        help="What the samples are: amplitude, intensity or db.",
+        show_default="told from the samples",
+    ),
+]
+NodataOption: TypeAlias = Annotated[
+    float | None,
+    typer.Option("--nodata", metavar="VALUE", help="Value of pixels without data.", show_default="what the file says"),
+]
+FeaturesOption: TypeAlias = Annotated[
+    int | None,
+    typer.Option(
+        "--n-features", min=1, metavar="N", help="Most features per image and most tie points.", show_default="5000"
+    ),
+]
+RefineOption: TypeAlias = Annotated[
+    bool | None,
+    typer.Option(
+        "--refine/--no-refine", help="Sub-pixel tie points around the first model.", show_default="as the method has it"
+    ),
+]
+
+
+def parse_settings(given: Sequence[str] | None) -> dict[str, Any]:
+    """Return the keywords of `--set key=value` options.
+
+    A value is read as JSON where it is JSON (numbers, true, false, null, lists, quoted text), as a number, or as text;
+    `filters` takes names with commas between them.
+
+    Raises
+    ------
+    ParameterError
+        No "=", the same key twice, or a key that has an option of its own.
+    """
+    settings: dict[str, Any] = {}
+    for text in given or ():
+        key, sign, value = text.partition("=")
+        key = key.strip()
+        if not sign or not key:
+            raise ParameterError(f"--set takes KEY=VALUE, as in --set fsc.threshold=2, got '{text}'")
+        if key in OWN_OPTIONS:
+            raise ParameterError(f"'{key}' has an option of its own: write {OWN_OPTIONS[key]} instead of --set {text}")
+        if key in settings:
+            raise ParameterError(f"--set {key} is given twice")
+        settings[key] = parse_value(value.strip())
+        if key == "filters" and isinstance(settings[key], str):
+            settings[key] = [name.strip() for name in settings[key].split(",") if name.strip()]
+    return settings
+
+
+def parse_value(text: str) -> Any:
+    """Return the number, bool, None, list or text that a value on the command line stands for."""
+    if text.lower() in WORDS:
+        return WORDS[text.lower()]
+    for read in (json.loads, float):
+        try:
+            return read(text)
+        except ValueError:
+            continue
+    return text
+
+
+def check_output(path: str | None, what: str, *, suffixes: Sequence[str] = (), inputs: Iterable[str] = ()) -> None:
+    """Raise an `InputError` where a file could not be written, before any work is done for it.
+
+    Parameters
+    ----------
+    path : None is no file, and right
+    what : the option, for the message
+    suffixes : how the name may end
+    inputs : files that must not be overwritten
+    """
+    if path is None:
+        return
+    target = Path(path)
+    if not path or path == "-":
+        raise InputError(f"{what} needs the name of a file, got '{path}'")
+    if target.is_dir():
+        raise InputError(
+            f"{what} '{path}' is a directory, give a file name such as '{target / ('out' + _first(suffixes))}'"
+        )
+    if suffixes and target.suffix.lower() not in suffixes:
+        raise InputError(f"{what} '{path}' must end in {' or '.join(suffixes)}")
+    check_folder(target.parent, f"{what} '{path}'")
+    if target.exists() and not os.access(target, os.W_OK):
+        raise InputError(f"{what} '{path}' exists and may not be replaced, give another name")
+    for given in inputs:
+        if target.exists() and Path(given).exists() and target.samefile(given):
+            raise InputError(f"{what} '{path}' would replace an input, give another name")
+
+
+def check_folder(folder: Path, what: str) -> None:
+    """Raise an `InputError` where no file can be made in a folder."""
+    if not folder.exists():
+        raise InputError(f"{what}: the folder '{folder}' does not exist, make it first")
+    if not folder.is_dir():
+        raise InputError(f"{what}: '{folder}' is a file, a folder is needed")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise InputError(f"{what}: the folder '{folder}' may not be written to, choose another")
+
+
+def check_name(given: str, known: Iterable[str], what: str) -> None:
+    """Raise a `ParameterError` that suggests the nearest name where `given` is none of those known."""
+    names = list(known)
+    if given not in names:
+        raise ParameterError(f"unknown {what} '{given}', {suggest(given, names)}")
+
+
+@contextmanager
+def limited_threads(count: int | None) -> Iterator[None]:
+    """Let the libraries use at most `count` threads inside the block; None leaves them alone.
+
+    OpenCV is told directly. The linear algebra reads its limit when it is first imported, which is why the commands
+    import nothing heavy before this.
+    """
+    if count is None:
+        yield
+        return
+    if "numpy" not in sys.modules:
+        os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(count)))
+    import cv2
+
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(count)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(before)
+
+
+def progress(text: str) -> None:
+    """Say what is being done, on stderr and only when someone looks at it."""
+    if sys.stderr.isatty():
+        typer.echo(f"{text} ...", err=True)
+
+
+def counter(text: str) -> Callable[[int, int], None] | None:
+    """Return a callback that keeps one line of progress up to date, or None when nobody looks at stderr."""
+    if not sys.stderr.isatty():
+        return None
+
+    def show(done: int, total: int) -> None:
+        typer.echo(f"\r{text}: {done} of {total}", err=True, nl=done == total)
+
+    return show
+
+
+def announce_compiling() -> None:
+    """Say that the first run takes longer, where someone looks and it will."""
+    if sys.stderr.isatty():
+        from featreg.warm_up import kernels_cached
+
+        if not all(kernels_cached().values()):
+            progress(COMPILING)
+
+
+def _first(suffixes: Sequence[str]) -> str:
+    return suffixes[0] if suffixes else ".json"

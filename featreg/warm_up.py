@@ -1,0 +1,85 @@
+"""Compile or load every kernel that the methods use, so that the first real image does not pay for it."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from featreg.errors import FeatregError
+
+#: Small, yet with a scene in it that every method finds points on.
+SHAPE = (200, 200)
+#: Between them these use every matcher and filter of the presets: binary and real descriptors, with GMS and without.
+METHODS: tuple[Mapping[str, Any], ...] = (
+    {"method": "sar-orb", "refine": True},
+    {"method": "sar-orb", "refine": False},
+    {"method": "sar-orb-paper"},
+    {"method": "orb"},
+    {"method": "akaze"},
+    {"method": "sift"},
+)
+
+
+def warm_up() -> None:
+    """Compile or load every kernel of the methods by registering a tiny simulated pair.
+
+    Half a minute the first time, afterwards a second or two: compiled code is kept on disk and only loaded. For those
+    who measure time, and for the start of a service.
+    """
+    import numpy as np
+
+    from featreg.matching import match
+    from featreg.resample import warp
+    from featreg.simulate import sar_pair
+
+    pair = sar_pair(SHAPE, rotation_deg=3.0, scale=1.0, shift=(2.0, 1.0))
+    mask = np.ones(SHAPE, np.bool_)
+    mask[:20, :30] = False
+    for keywords in METHODS:
+        for valid in (None, mask):
+            result = match(pair.reference, pair.secondary, reference_mask=valid, secondary_mask=valid, **keywords)
+    if result.model:
+        for image in (pair.secondary, pair.secondary.astype(np.complex64)):
+            warp(result, image, like=SHAPE)
+
+
+def kernels_cached() -> Mapping[str, bool]:
+    """Return module of kernels -> whether its compiled code lies on disk and is not older than its source.
+
+    Notes
+    -----
+    One compiled function stands for its module; argument types that were never used compile when they first are.
+    """
+    return {module.__name__: _cached(module) for module in _kernel_modules()}
+
+
+def _kernel_modules() -> list[ModuleType]:
+    """The modules named `*_kernels` of this package."""
+    root = Path(__file__).parent
+    names = sorted(".".join(path.relative_to(root).with_suffix("").parts) for path in root.rglob("*_kernels.py"))
+    modules = []
+    for name in names:
+        try:
+            modules.append(importlib.import_module(f"featreg.{name}"))
+        except (ImportError, FeatregError):
+            continue
+    return modules
+
+
+def cache_folders() -> set[Path]:
+    """The folders in which compiled kernels are kept."""
+    return set().union(*(_folders(module) for module in _kernel_modules()))
+
+
+def _folders(module: ModuleType) -> set[Path]:
+    return {Path(value.stats.cache_path) for value in vars(module).values() if hasattr(value, "stats")}
+
+
+def _cached(module: ModuleType) -> bool:
+    short = module.__name__.rpartition(".")[2]
+    source = Path(str(module.__file__)).stat().st_mtime
+    indexes = (index for folder in _folders(module) for index in folder.glob(f"{short}.*.nbi"))
+    return any(index.stat().st_mtime >= source for index in indexes)

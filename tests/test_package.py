@@ -1,0 +1,179 @@
+"""What a user installs: the public names, a quick import, one version, and a wheel that holds the whole tree."""
+
+from __future__ import annotations
+
+import email
+import importlib.metadata
+import inspect
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import featreg
+
+ROOT = Path(__file__).parents[1]
+PROJECT: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+FOLDERS: dict[str, str] = PROJECT["tool"]["setuptools"]["package-dir"]
+
+PUBLIC = [
+    "Descriptor",
+    "Detector",
+    "FailedFit",
+    "FeatregError",
+    "FeatureMatcher",
+    "Features",
+    "Filter",
+    "FilterContext",
+    "Image",
+    "Matcher",
+    "Matches",
+    "Model",
+    "Nearest",
+    "Pipeline",
+    "Registration",
+    "__version__",
+    "as_image",
+    "available",
+    "compare",
+    "create",
+    "evaluate",
+    "extractor",
+    "fit",
+    "match",
+    "register",
+    "register_family",
+    "warm_up",
+    "warp",
+]
+HEAVY = ("cv2", "matplotlib", "numba", "pandas", "pyarrow", "rasterio", "scipy", "torch")
+
+
+def test_the_public_names_are_these_and_no_others() -> None:
+    assert sorted(featreg.__all__) == PUBLIC
+
+
+@pytest.mark.parametrize("name", [n for n in PUBLIC if n != "__version__"])
+def test_every_public_name_can_be_had_and_is_documented(name: str) -> None:
+    value = getattr(featreg, name)
+    assert inspect.getdoc(value), f"featreg.{name} has no docstring"
+    assert name in dir(featreg)
+    assert value.__module__.startswith("featreg.")
+
+
+def test_an_unknown_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'mtach'"):
+        _ = featreg.mtach
+
+
+def test_import_loads_no_heavy_library() -> None:
+    code = f"import sys, featreg; print([m for m in {HEAVY!r} if m in sys.modules])"
+    assert run(sys.executable, "-c", code).strip() == "[]"
+
+
+def test_the_version_stands_in_one_place() -> None:
+    assert PROJECT["project"]["dynamic"] == ["version"]
+    assert PROJECT["tool"]["setuptools"]["dynamic"]["version"] == {"attr": "featreg._version.__version__"}
+    literal = f'"{featreg.__version__}"'
+    places = [p.relative_to(ROOT).as_posix() for p in sources() if literal in p.read_text(encoding="utf-8")]
+    assert places == ["featreg/_version.py"]
+
+
+def test_the_changelog_knows_the_version() -> None:
+    assert featreg.__version__ in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
+def test_every_folder_with_modules_is_a_listed_package() -> None:
+    listed = set(PROJECT["tool"]["setuptools"]["packages"])
+    found = {in_wheel(p.parent).replace("/", ".") for p in sources()}
+    assert found == listed
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel of a clean copy of what a build needs: a stale build/ beside the sources would leak into it."""
+    tree, out = tmp_path_factory.mktemp("tree"), tmp_path_factory.mktemp("dist")
+    for name in ("pyproject.toml", PROJECT["project"]["readme"], *PROJECT["project"]["license-files"]):
+        shutil.copy(ROOT / name, tree / name)
+    for name in {folder.split("/")[0] for folder in FOLDERS.values()} | {"tests", "benchmarks"}:
+        shutil.copytree(ROOT / name, tree / name, ignore=shutil.ignore_patterns("__pycache__"))
+    # No isolation: the development extras bring setuptools, so that nothing is downloaded here.
+    run(sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(out), str(tree))
+    (made,) = out.glob("*.whl")
+    return made
+
+
+@pytest.mark.slow
+@pytest.mark.xdist_group("wheel")
+def test_the_wheel_holds_the_tree_and_nothing_else(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        held = {name for name in archive.namelist() if ".dist-info/" not in name}
+        (metadata,) = (name for name in archive.namelist() if name.endswith(".dist-info/METADATA"))
+        said = email.message_from_bytes(archive.read(metadata))
+    wanted = {in_wheel(path) for path in files()}
+    assert held == wanted
+    assert said["Version"] == featreg.__version__
+    assert said["License-Expression"] == "MIT"
+
+
+@pytest.mark.slow
+@pytest.mark.xdist_group("wheel")
+def test_the_wheel_works_in_an_empty_environment(wheel: Path, tmp_path: Path) -> None:
+    """Installed with its dependencies, because only that shows that the declared ones suffice.
+
+    The versions are held to those of this environment, whose wheels pip has just fetched and mostly still has in its
+    cache.
+    """
+    python = tmp_path / "env" / ("Scripts" if os.name == "nt" else "bin") / "python"
+    run(sys.executable, "-m", "venv", str(tmp_path / "env"))
+    constraints = tmp_path / "constraints.txt"
+    constraints.write_text(
+        "".join(f"{d.name}=={d.version}\n" for d in importlib.metadata.distributions() if d.name != "featreg")
+    )
+    pip = (str(python), "-m", "pip", "--disable-pip-version-check", "install", "--quiet", "--no-compile")
+    run(*pip, "--constraint", str(constraints), str(wheel))
+    code = (
+        "import json, featreg; from featreg.registry import broken; "
+        "print(json.dumps([featreg.__file__, featreg.__version__, featreg.available('detector'), dict(broken())]))"
+    )
+    home, version, detectors, broken = json.loads(run(str(python), "-c", code, cwd=tmp_path).splitlines()[-1])
+    assert Path(home).is_relative_to(tmp_path)
+    assert version == featreg.__version__
+    assert detectors == featreg.available("detector")
+    assert broken == {}
+    listed = run(str(python.with_name("featreg")), "list", cwd=tmp_path)
+    assert "sar-ofast" in listed
+    assert "sar-orb" in listed
+
+
+def sources() -> list[Path]:
+    """Every module of the package."""
+    return [path for path in files() if path.suffix == ".py"]
+
+
+def files() -> list[Path]:
+    """Every file of the package's folders, caches aside."""
+    tops = sorted({folder.split("/")[0] for folder in FOLDERS.values()})
+    found = [path for top in tops for path in sorted((ROOT / top).rglob("*")) if path.is_file()]
+    return [path for path in found if "__pycache__" not in path.parts]
+
+
+def in_wheel(path: Path) -> str:
+    """Where a file or folder of the tree stands in the wheel."""
+    inside = path.relative_to(ROOT).as_posix()
+    return inside if inside.split("/")[0] == "featreg" else f"featreg/{inside}"
+
+
+def run(*command: str, cwd: Path | None = None) -> str:
+    """Run a command without this checkout on the module path, and return what it prints."""
+    environment = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")}
+    done = subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, f"{' '.join(command)}\n{done.stdout}\n{done.stderr}"
+    return done.stdout

@@ -1,0 +1,306 @@
+"""What flows: checked where it is made, read-only, picklable; derived maps are computed once."""
+
+from __future__ import annotations
+
+import pickle
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from featreg.derived import DerivedMaps
+from featreg.errors import InputError
+from featreg.geometry import Translation
+from featreg.interfaces import FailedFit
+from featreg.types import Features, Image, Matches, Registration
+
+CALLS: list[tuple[str, float]] = []
+
+
+def slow_map(image: Image, factor: float = 1.0) -> NDArray[np.float32]:
+    CALLS.append(("slow_map", factor))
+    time.sleep(0.02)
+    return np.asarray(image.amplitude * np.float32(factor))
+
+
+def failing_map(image: Image) -> NDArray[np.float32]:
+    CALLS.append(("failing_map", 0.0))
+    raise InputError("cannot")
+
+
+def image(height: int = 20, width: int = 30) -> Image:
+    return Image(np.ones((height, width), np.float32), np.ones((height, width), np.bool_))
+
+
+def features(n: int = 5) -> Features:
+    rng = np.random.default_rng(0)
+    return Features(
+        rng.uniform(0, 9, (n, 2)), np.ones(n), np.zeros(n), np.arange(n), np.zeros(n), np.zeros((n, 8), np.float32)
+    )
+
+
+def matches(n: int = 5, **more: Any) -> Matches:
+    rng = np.random.default_rng(1)
+    return Matches(rng.uniform(0, 9, (n, 2)), rng.uniform(0, 9, (n, 2)), rng.uniform(size=n), **more)
+
+
+# Image
+
+
+@pytest.mark.parametrize(
+    ("pixels", "mask"),
+    [
+        (np.zeros((3, 4, 2), np.float32), np.ones((3, 4, 2), np.bool_)),
+        (np.zeros((0, 4), np.float32), np.ones((0, 4), np.bool_)),
+        (np.zeros((3, 4), np.float64), np.ones((3, 4), np.bool_)),
+        (np.zeros((3, 4), np.uint8), np.ones((3, 4), np.bool_)),
+        (np.zeros((3, 4), np.float32), np.ones((4, 3), np.bool_)),
+        (np.zeros((3, 4), np.float32), np.ones((3, 4), np.uint8)),
+    ],
+)
+def test_an_impossible_image_is_refused(pixels: Any, mask: Any) -> None:
+    with pytest.raises(InputError):
+        Image(pixels, mask)
+
+
+def test_amplitude_of_a_complex_image_is_its_modulus() -> None:
+    rng = np.random.default_rng(0)
+    z = (rng.normal(size=(20, 30)) + 1j * rng.normal(size=(20, 30))).astype(np.complex64)
+    made = Image(z, np.ones(z.shape, np.bool_))
+    assert made.is_complex
+    assert made.amplitude.dtype == np.float32
+    np.testing.assert_allclose(made.amplitude, np.abs(z), rtol=1e-6)
+
+
+def test_pixels_mask_and_derived_maps_are_read_only() -> None:
+    made = image()
+    for array in (made.pixels, made.mask, made.derive(slow_map, factor=7.0)):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0, 0] = 0
+
+
+def test_a_map_is_computed_once_under_eight_threads() -> None:
+    made = image()
+    CALLS.clear()
+    gate = threading.Barrier(8)
+
+    def ask() -> NDArray[np.float32]:
+        gate.wait()
+        return made.derive(slow_map, factor=2.0)
+
+    with ThreadPoolExecutor(8) as pool:
+        maps = [f.result() for f in [pool.submit(ask) for _ in range(8)]]
+    assert len(CALLS) == 1
+    assert all(m is maps[0] for m in maps)
+
+
+def test_parameters_are_part_of_the_key() -> None:
+    made = image()
+    CALLS.clear()
+    assert made.derive(slow_map, factor=2.0)[0, 0] == 2
+    assert made.derive(slow_map, factor=3.0)[0, 0] == 3
+    assert made.derive(slow_map, factor=2.0)[0, 0] == 2
+    assert CALLS == [("slow_map", 2.0), ("slow_map", 3.0)]
+
+
+def test_a_default_spelt_out_is_the_same_map() -> None:
+    made = image()
+    CALLS.clear()
+    assert made.derive(slow_map) is made.derive(slow_map, factor=1.0)
+    assert len(CALLS) == 1
+
+
+def test_a_failure_is_raised_each_time_and_not_kept() -> None:
+    made = image()
+    CALLS.clear()
+    for _ in range(2):
+        with pytest.raises(InputError, match="cannot"):
+            made.derive(failing_map)
+    assert len(CALLS) == 2
+
+
+@pytest.mark.parametrize("function", [lambda image: image.pixels, lambda image: 1])
+def test_derive_needs_a_function_of_a_module(function: Callable[..., Any]) -> None:
+    with pytest.raises(TypeError, match="module-level"):
+        image().derive(function)
+
+
+def test_derived_maps_stay_out_of_the_pickle() -> None:
+    made = image(100, 100)
+    before = len(pickle.dumps(made))
+    made.derive(slow_map, factor=5.0)
+    data = pickle.dumps(made)
+    assert len(data) == before
+    again = pickle.loads(data)
+    np.testing.assert_array_equal(again.pixels, made.pixels)
+    assert again.shape == (100, 100)
+    CALLS.clear()
+    again.derive(slow_map, factor=5.0)
+    assert len(CALLS) == 1
+    with pytest.raises(ValueError, match="read-only"):
+        again.pixels[0, 0] = 0
+
+
+def test_release_forgets_every_map() -> None:
+    made = image()
+    CALLS.clear()
+    first = made.derive(slow_map, factor=4.0)
+    made.release()
+    assert made.derive(slow_map, factor=4.0) is not first
+    assert len(CALLS) == 2
+
+
+def test_the_store_is_bounded_and_drops_the_least_recently_used() -> None:
+    made = image(10, 10)
+    store = DerivedMaps(max_bytes=1000)  # a map of 10 x 10 floats has 400
+    CALLS.clear()
+    for factor in (1.0, 2.0, 1.0, 3.0, 1.0, 2.0):
+        store.get(made, slow_map, {"factor": factor})
+    assert [f for _, f in CALLS] == [1.0, 2.0, 3.0, 2.0]
+
+
+# Features
+
+
+def test_features_are_checked_where_they_are_made() -> None:
+    good = features()
+    for change in (
+        {"xy": np.zeros((5, 3))},
+        {"xy": np.full((5, 2), np.nan)},
+        {"scale": np.ones(4)},
+        {"norm": "l1"},
+        {"norm": "hamming"},  # float descriptors
+        {"descriptors": np.zeros((4, 8), np.float32)},
+        {"descriptors": np.zeros((5, 8), np.float64)},
+        {"index": np.arange(4)},
+    ):
+        fields = {name: getattr(good, name) for name in good.__dataclass_fields__} | change
+        with pytest.raises(InputError):
+            Features(**fields)
+
+
+@pytest.mark.parametrize("name", ["scale", "angle", "score"])
+def test_features_hold_finite_numbers(name: str) -> None:
+    columns = {"scale": np.ones(3), "angle": np.ones(3), "score": np.ones(3)}
+    columns[name] = np.array([1.0, np.nan, 1.0])
+    with pytest.raises(InputError):
+        Features(np.ones((3, 2)), level=np.zeros(3), **columns)  # type: ignore[arg-type]
+
+
+def test_one_number_stands_for_all_rows() -> None:
+    made = Features(np.ones((3, 2)), 2.0, 0.5, 1.0, 0)  # type: ignore[arg-type]
+    assert made.scale.tolist() == [2.0] * 3
+    assert made.level.dtype == np.int64
+
+
+@pytest.mark.parametrize("count", [2, 5, 9])
+def test_best_gives_the_highest_scores_best_first(count: int) -> None:
+    score = np.array([1.0, 3.0, 2.0, 3.0, 0.0])
+    made = Features(np.arange(10).reshape(5, 2), np.ones(5), np.zeros(5), score, np.zeros(5))  # type: ignore[arg-type]
+    found = made.best(count)
+    assert found.score.tolist() == sorted(score, reverse=True)[:count]
+    if count >= 2:
+        assert found.xy[:2, 0].tolist() == [2.0, 6.0]  # the tie in the order given
+
+
+def test_take_picks_the_same_rows_of_everything() -> None:
+    made = features(6)
+    rows = np.array([4, 1])
+    taken = made.take(rows)
+    for name in ("xy", "scale", "angle", "score", "level", "descriptors"):
+        np.testing.assert_array_equal(getattr(taken, name), getattr(made, name)[rows])
+
+
+def test_concatenated_and_empty_features() -> None:
+    joined = Features.concatenate([features(2), Features.empty(), features(3)])
+    assert len(joined) == 5
+    assert len(Features.concatenate([])) == 0
+    assert Features.empty().xy.shape == (0, 2)
+
+
+def test_keypoints_and_back() -> None:
+    rng = np.random.default_rng(3)
+    made = Features(
+        rng.uniform(0, 500, (20, 2)), rng.uniform(1, 30, 20), rng.uniform(0, 6.2, 20), rng.uniform(0, 9, 20), np.arange(20) % 5
+    )  # fmt: skip
+    again = Features.from_keypoints(made.to_keypoints())
+    for name in ("xy", "scale", "angle", "score", "level"):
+        np.testing.assert_allclose(getattr(again, name), getattr(made, name), rtol=1e-5, atol=1e-5)
+
+
+def test_opencv_angles_run_the_other_way() -> None:
+    made = Features(np.ones((1, 2)), np.ones(1), np.array([np.pi / 2]), np.ones(1), np.zeros(1, np.int64))
+    assert made.to_keypoints()[0].angle == pytest.approx(270.0)
+    assert made.to_keypoints()[0].size == pytest.approx(2.0)
+
+
+# Matches
+
+
+def test_matches_are_checked_where_they_are_made() -> None:
+    a = np.zeros((4, 2))
+    with pytest.raises(InputError, match="as many"):
+        Matches(a, a[:3], np.ones(4))
+    with pytest.raises(InputError, match="covariance"):
+        Matches(a, a, np.ones(4), covariance=np.zeros((4, 2)))
+    with pytest.raises(InputError, match="finite"):
+        Matches(a, a + np.inf, np.ones(4))
+    with pytest.raises(InputError, match="score"):
+        Matches(a, a, np.ones(3))
+
+
+def test_appended_matches_keep_what_is_known() -> None:
+    first, more = matches(3, rotation=np.full(3, 0.25)), matches(2, covariance=np.tile(np.eye(2), (2, 1, 1)), origin=[0, 2])
+    joined = first.appended(more)
+    assert len(joined) == 5
+    assert joined.origin.tolist() == [-1, -1, -1, 0, 2]
+    assert joined.covariance is not None
+    assert joined.rotation is not None
+    assert np.isnan(joined.covariance[:3]).all()
+    np.testing.assert_array_equal(joined.covariance[3:], more.covariance)
+    np.testing.assert_array_equal(joined.rotation[:3], 0.25)
+    assert np.isnan(joined.rotation[3:]).all()
+    np.testing.assert_array_equal(joined.reference_xy[3:], more.reference_xy)
+
+
+def test_the_callers_arrays_are_not_locked_or_shared() -> None:
+    xy = np.zeros((3, 2))
+    made = Matches(xy, xy, np.ones(3))
+    xy[:] = 5
+    assert made.reference_xy.max() == 0
+
+
+@pytest.mark.parametrize("made", [features(), matches()], ids=["features", "matches"])
+def test_arrays_stay_read_only_after_pickling(made: Any) -> None:
+    for thing in (made, pickle.loads(pickle.dumps(made))):
+        for name in thing.__dataclass_fields__:
+            value = getattr(thing, name)
+            if isinstance(value, np.ndarray):
+                assert not value.flags.writeable, name
+
+
+# Registration
+
+
+def test_registration_is_checked_where_it_is_made() -> None:
+    found = matches(4)
+    model = Translation(1.0, 2.0)
+    with pytest.raises(InputError, match="reason"):
+        Registration(found, {}, np.ones(4, np.bool_), model, "unreliable")
+    with pytest.raises(InputError, match="status"):
+        Registration(found, {}, np.ones(4, np.bool_), model, "good")
+    with pytest.raises(InputError, match="gms"):
+        Registration(found, {"gms": np.ones(3, np.bool_)}, np.ones(4, np.bool_), model, "ok")
+
+
+def test_residuals_of_a_registration() -> None:
+    found = Matches(np.zeros((2, 2)), np.array([[1.0, 2.0], [4.0, 6.0]]), np.ones(2))
+    made = Registration(found, {}, np.ones(2, np.bool_), Translation(1.0, 2.0), "ok")
+    np.testing.assert_allclose(made.residuals(), [0.0, 5.0])
+    failed = Registration(found, {}, np.zeros(2, np.bool_), FailedFit("too few"), "unreliable", "too few")
+    assert np.isnan(failed.residuals()).all()
