@@ -13,7 +13,7 @@ from featreg.errors import ParameterError
 from featreg.interfaces import Descriptor
 from featreg.registry import register
 from featreg.sar.pyramid import SUPPORT, clear, pyramid
-from featreg.sar.speckle import despeckled
+from featreg.sar.speckle import despeckled_bytes
 from featreg.types import Features, FloatArray, Image
 
 TURNS = 72
@@ -81,7 +81,7 @@ class Brief(Descriptor):
             used, turn = np.unique(turns[rows], return_inverse=True)
             out = np.empty((len(rows), words.shape[1]), np.uint64)
             xs, ys = np.ascontiguousarray(at.T)
-            binary_kernels.compare_pairs(despeckled(level, self.sigma), xs, ys, table[used], turn, out)
+            binary_kernels.compare_pairs(despeckled_bytes(level, self.sigma), xs, ys, table[used], turn, out)
             words[rows] = out
             kept[rows] = True
         index = np.flatnonzero(kept)

@@ -97,7 +97,7 @@ class SarOfast(Detector):
         return level.derive(quantised_edges, alpha=self.alpha, floor=self.floor, eq5=self.edge == "eq5")
 
     def _corners(self, level: Image) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
-        return fast_corners(self._edges(level), self.threshold, clear(level, self.support))
+        return fast_corners(self._edges(level), self.threshold, clear(level, self.support), self.n_features)
 
     def _subpixel(self, level: Image, at: NDArray[np.int64]) -> NDArray[np.float64]:
         if self.subpixel == "centroid":

@@ -10,7 +10,7 @@ import logging
 import os
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Annotated, Any
 
 import typer
@@ -19,7 +19,7 @@ from featreg import cli_compare, cli_info, cli_match
 from featreg._version import __version__
 from featreg.errors import FeatregError, UnknownNameError, suggest
 
-COMMANDS = {
+COMMANDS: dict[str, Callable[..., None]] = {
     "match": cli_match.match,
     "compare": cli_compare.compare,
     "warp": cli_match.warp,
@@ -71,7 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except SystemExit as stop:
         code = stop.code
     except Exception as error:
-        return _explain(error)
+        return _explain(error, given)
     finally:
         logger.removeHandler(notes)
     for line in dict.fromkeys(notes.lines):
@@ -86,14 +86,14 @@ def _check_command(arguments: Sequence[str]) -> None:
         raise UnknownNameError(f"unknown command '{word}', {suggest(word, COMMANDS)}")
 
 
-def _explain(error: Exception) -> int:
+def _explain(error: Exception, arguments: Sequence[str]) -> int:
     """Print one line about an error and return the exit code."""
     if isinstance(error, typer.Abort):
         return 130
     if isinstance(error, FeatregError):
         code, text = 2, str(error)
     elif hasattr(error, "format_message"):  # of the library that parses the command line, whichever it builds upon
-        code, text = 2, _usage(error)
+        code, text = 2, _usage(error, arguments)
     else:
         code, text = 1, f"internal error: {type(error).__name__}: {error}"
         if os.environ.get("FEATREG_TRACEBACK"):
@@ -106,10 +106,10 @@ def _explain(error: Exception) -> int:
     return code
 
 
-def _usage(error: Any) -> str:
+def _usage(error: Any, arguments: Sequence[str]) -> str:
     """One line for a misspelt option, a missing argument or a value of the wrong kind."""
     context = getattr(error, "ctx", None)
-    path = context.command_path if context else "featreg"
+    path = context.command_path if context else " ".join(["featreg", *(a for a in arguments[:1] if a in COMMANDS)])
     name = getattr(error, "option_name", None)
     if name and context and type(error).__name__ == "NoSuchOption":
         known = [o for parameter in context.command.params for o in (*parameter.opts, *parameter.secondary_opts)]

@@ -25,6 +25,7 @@ from featreg.cli_options import (
     check_name,
     counter,
     parse_settings,
+    whole_number,
 )
 from featreg.errors import InputError, ParameterError
 
@@ -34,9 +35,7 @@ FORMATS = ("md", "csv", "latex", "json")
 def compare(
     images: Annotated[
         list[str],
-        typer.Argument(
-            metavar="REF SEC [REF SEC ...]", help="Pairs of images, one after the other.", show_default=False
-        ),
+        typer.Argument(metavar="REF SEC", help="Pairs of images, one after the other.", show_default=False),
     ],
     methods: Annotated[
         str,
@@ -60,7 +59,10 @@ def compare(
     scale: ScaleOption = None,
     nodata: NodataOption = None,
     workers: Annotated[
-        int, typer.Option("--workers", min=1, metavar="N", help="Processes that match, of one thread each.")
+        int,
+        typer.Option(
+            "--workers", parser=whole_number(1), metavar="N", help="Processes that match, of one thread each."
+        ),
     ] = 1,
     times: Annotated[
         bool | None,
@@ -81,7 +83,7 @@ def compare(
     ] = None,
     layout: Annotated[str, typer.Option("--format", metavar="FORMAT", help="md, csv, latex or json.")] = "md",
 ) -> None:
-    """Compare methods on pairs of images and print the table.
+    """Print a table of methods on image pairs.
 
     Exit code 4 means that a method failed with an error on a pair; its row says which.
     """

@@ -19,11 +19,11 @@ KINDS = ("detector", "descriptor", "nearest", "matcher", "filter", "model", "met
 def list_plugins(
     kind: Annotated[
         str | None,
-        typer.Argument(metavar="[KIND]", help=f"One of {', '.join(KINDS)}; without it, all.", show_default=False),
+        typer.Argument(metavar="KIND", help=f"One of {', '.join(KINDS)}; without it, all.", show_default=False),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON for machines.")] = False,
 ) -> None:
-    """List detectors, descriptors, matchers, filters, models and methods with their parameters and defaults."""
+    """List methods and parts with their parameters."""
     if kind is not None:
         check_name(kind, KINDS, "kind")
     found = [item for one in KINDS if kind in (None, one) for item in _items(one)]
@@ -110,7 +110,11 @@ def demo(
         str, typer.Option("--out", metavar="DIR", help="Folder for images, pictures and results.")
     ] = "featreg-demo",
 ) -> None:
-    """Simulate a SAR pair with known truth, register it, compare with OpenCV and draw the result."""
+    """Try everything on a simulated pair.
+
+    Simulates two SAR images with known truth, registers them, compares the method with two of OpenCV and draws the
+    result.
+    """
     folder = Path(out)
     check_folder(folder if folder.exists() else folder.absolute().parent, f"--out '{out}'")
     from featreg.demo import demonstrate
@@ -134,7 +138,11 @@ def demo(
 
 
 def doctor(as_json: Annotated[bool, typer.Option("--json", help="Print JSON for machines.")] = False) -> None:
-    """Show versions, cores, compiled kernels, where OpenCV keeps what, hidden plugins and missing extras."""
+    """Show what this installation is made of.
+
+    Versions, cores and threads, compiled kernels, where OpenCV keeps what, plugins that cannot be used here and why,
+    and extras that are not installed.
+    """
     from featreg.doctor import examine
 
     found = examine()

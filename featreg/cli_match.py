@@ -18,10 +18,13 @@ from featreg.cli_options import (
     announce_compiling,
     check_name,
     check_output,
+    distance,
     limited_threads,
     parse_settings,
     progress,
+    whole_number,
 )
+from featreg.errors import InputError, ParameterError
 
 if TYPE_CHECKING:
     from featreg.types import Geolocation, Registration
@@ -50,6 +53,7 @@ def match(
         float | None,
         typer.Option(
             "--search-radius",
+            parser=distance,
             metavar="PX",
             help="How far from --initial a tie point may lie.",
             show_default=f"{RADIUS:g}",
@@ -78,11 +82,17 @@ def match(
     workers: Annotated[
         int | None,
         typer.Option(
-            "--workers", min=1, metavar="N", help="Most threads of all libraries.", show_default="as they choose"
+            "--workers",
+            parser=whole_number(1),
+            metavar="N",
+            help="Most threads of all libraries.",
+            show_default="as they choose",
         ),
     ] = None,
 ) -> None:
-    """Register two SAR images: find tie points, fit a model, judge it.
+    """Register one SAR image to another.
+
+    Finds tie points, fits a geometric model and judges whether it can be trusted.
 
     Images are GeoTIFF, TIFF, PNG, JPEG, BMP, NPY or file.mat:variable. Exit code 3 means that the result, which is
     still written, cannot be trusted.
@@ -91,6 +101,8 @@ def match(
     check_output(json_file, "--json", inputs=inputs)
     check_output(plot, "--plot", suffixes=[".png"], inputs=inputs)
     keywords = parse_settings(settings)
+    if initial is None and search_radius is not None:
+        raise ParameterError("--search-radius needs --initial RESULT.json, the result around which to search")
     with limited_threads(workers):
         from featreg.matching import match as register
         from featreg.types import Registration
@@ -180,7 +192,6 @@ def _describe(result: Registration) -> str:
 
 
 def _known_model(result: Registration, path: str) -> Any:
-    from featreg.errors import InputError
     from featreg.interfaces import FailedFit
 
     if isinstance(result.model, FailedFit):
@@ -221,7 +232,7 @@ def warp(
     ] = None,
     nodata: NodataOption = None,
 ) -> None:
-    """Resample the secondary image onto the grid of the reference.
+    """Resample the secondary onto the reference.
 
     The output holds linear amplitude, or complex samples where the secondary does, and NaN where there is no data.
     Exit code 3 means that the registration, and so the output, cannot be trusted.
@@ -229,7 +240,6 @@ def warp(
     check_output(
         output, "--output", suffixes=[".tif", ".tiff"], inputs=[result_file, secondary, *([like] if like else [])]
     )
-    from featreg.errors import InputError
     from featreg.io import as_image, write_geotiff
     from featreg.resample import TAPS
     from featreg.resample import warp as resample
@@ -258,7 +268,6 @@ def _grid(
     like: str | None, recorded: dict[str, Any], result_file: str
 ) -> tuple[Geolocation | None, tuple[int, int] | None]:
     """Georeferencing and (H, W) of the reference, from `like` or the path in the result; None where not known."""
-    from featreg.errors import InputError
     from featreg.io import as_image
 
     size = (recorded.get("height"), recorded.get("width"))

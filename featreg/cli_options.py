@@ -33,6 +33,38 @@ WORDS = {"true": True, "false": False, "none": None, "inf": float("inf"), "-inf"
 #: Read by the numeric libraries when they are first imported.
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
+
+def whole_number(least: int) -> Callable[[Any], int]:
+    """Return a reader of whole numbers from `least` on, whose complaint says what was given."""
+
+    def read(text: Any) -> int:
+        try:
+            value = int(str(text))
+        except ValueError:
+            value = least - 1
+        if value < least:
+            raise typer.BadParameter(f"a whole number >= {least} is needed, got '{text}'")
+        return value
+
+    return read
+
+
+def number(text: Any) -> float:
+    """Read a number."""
+    try:
+        return float(text)
+    except ValueError as error:
+        raise typer.BadParameter(f"a number is needed, got '{text}'") from error
+
+
+def distance(text: Any) -> float:
+    """Read a number of pixels greater than 0."""
+    value = number(text)
+    if not 0 < value < float("inf"):
+        raise typer.BadParameter(f"a number of pixels > 0 is needed, got '{text}'")
+    return value
+
+
 ModelOption: TypeAlias = Annotated[
     str | None,
     typer.Option(
@@ -53,7 +85,10 @@ SetOption: TypeAlias = Annotated[
     ),
 ]
 SeedOption: TypeAlias = Annotated[
-    int, typer.Option("--seed", min=0, metavar="N", help="Of everything random; equal seeds give equal results.")
+    int,
+    typer.Option(
+        "--seed", parser=whole_number(0), metavar="N", help="Of everything random; equal seeds give equal results."
+    ),
 ]
 ScaleOption: TypeAlias = Annotated[
     str | None,
@@ -66,12 +101,22 @@ ScaleOption: TypeAlias = Annotated[
 ]
 NodataOption: TypeAlias = Annotated[
     float | None,
-    typer.Option("--nodata", metavar="VALUE", help="Value of pixels without data.", show_default="what the file says"),
+    typer.Option(
+        "--nodata",
+        parser=number,
+        metavar="VALUE",
+        help="Value of pixels without data.",
+        show_default="what the file says",
+    ),
 ]
 FeaturesOption: TypeAlias = Annotated[
     int | None,
     typer.Option(
-        "--n-features", min=1, metavar="N", help="Most features per image and most tie points.", show_default="5000"
+        "--n-features",
+        parser=whole_number(1),
+        metavar="N",
+        help="Most features per image and most tie points.",
+        show_default="5000",
     ),
 ]
 RefineOption: TypeAlias = Annotated[

@@ -70,8 +70,8 @@ class Extractor:
     """What `extractor` makes: arrays and `cv2.KeyPoint` in, `cv2.KeyPoint` and descriptors out.
 
     Arrays are (H, W), real or complex, of any depth. A mask is (H, W), non-zero where features may lie; as everywhere
-    in this package it marks pixels that are data, so no feature rests on a pixel outside it. This is no `cv2.Feature2D`:
-    a subclass written in Python ends the process when OpenCV calls a method that it lacks.
+    in this package it marks pixels that are data, so no feature rests on a pixel outside it. This is no
+    `cv2.Feature2D`: a subclass written in Python ends the process when OpenCV calls a method that it lacks.
     """
 
     detector: Detector

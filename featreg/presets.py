@@ -33,6 +33,8 @@ class Preset:
     common_rotation: bool = True
 
 
+# Three levels fewer than the paper: no fewer correct matches at scales from 0.6 to 1.4, measured, and less to compute.
+_FIVE_LEVELS = {"levels": 5}
 _PAPER_OFAST = {
     "alpha": 2.0,
     "floor": 0.01,
@@ -46,7 +48,7 @@ _PAPER_BRIEF = {"bits": 256, "radius": 16.0, "spread": 6.2, "sigma": 2.0}
 
 
 def _opencv(name: str, *, ratio: float = 1.0) -> Preset:
-    """A detector of OpenCV that describes its own points; ratio below 1 replaces GMS, as is usual for L2 descriptors."""
+    """A detector of OpenCV that describes its own points; a ratio below 1 stands for GMS, as is usual for L2 norms."""
     return Preset(
         f"OpenCV's {name.upper()}, detector and descriptor",
         detector=Part(name),
@@ -58,8 +60,8 @@ def _opencv(name: str, *, ratio: float = 1.0) -> Preset:
 PRESETS: Mapping[str, Preset] = {
     "sar-orb": Preset(
         "SAR-OFAST corners on a ROEWA edge pyramid, BRIEF in one common direction, GMS, FSC",
-        detector=Part("sar-ofast"),
-        descriptor=Part("brief"),
+        detector=Part("sar-ofast", _FIVE_LEVELS),
+        descriptor=Part("brief", _FIVE_LEVELS),
         nearest=Part("brute-force"),
     ),
     "sar-orb-paper": Preset(

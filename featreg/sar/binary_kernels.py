@@ -8,12 +8,11 @@ from numpy.typing import NDArray
 from featreg.jit import compiled, inlined
 
 U64 = NDArray[np.uint64]
-F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]
 
 
 @compiled
-def compare_pairs(image: F32, xs: I64, ys: I64, table: NDArray[np.int8], turns: I64, bits: U64) -> None:
+def compare_pairs(image: NDArray[np.uint8], xs: I64, ys: I64, table: NDArray[np.int8], turns: I64, bits: U64) -> None:
     """Set bit b of point i where the first sample of pair b is darker than the second.
 
     `table` (T, B, 4) holds the (x1, y1, x2, y2) offsets of the pairs for each turn, `turns` (N,) the turn of each

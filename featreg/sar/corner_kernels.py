@@ -142,8 +142,9 @@ def edge_centroid(edge: U8, xy: F64, sigma: float, iterations: int, reach: float
     height, width = edge.shape
     fall = -0.5 / (sigma * sigma)
     patch = np.zeros((7, 7))
-    wx = np.zeros(7)
-    wy = np.zeros(7)
+    wx, wy, bell = np.zeros(7), np.zeros(7), np.zeros(7)
+    for k in range(7):
+        bell[k] = np.exp(fall * (k - 3) ** 2)
     for i in range(xy.shape[0]):
         x0, y0 = xy[i, 0], xy[i, 1]
         qx, qy = x0, y0
@@ -173,20 +174,29 @@ def edge_centroid(edge: U8, xy: F64, sigma: float, iterations: int, reach: float
                 for r in range(7):
                     for c in range(7):
                         patch[r, c] = high - patch[r, c] if dark else patch[r, c] - low
+            # exp(f (k - d)^2) up to a common factor, which the quotient below cancels: exp(f k^2) exp(-2 f d)^k.
+            along_x, along_y = np.exp(-2 * fall * (qx - cx)), np.exp(-2 * fall * (qy - cy))
+            wx[3] = wy[3] = 1.0
+            for k in range(1, 4):
+                wx[3 + k], wx[3 - k] = wx[2 + k] * along_x, wx[4 - k] / along_x
+                wy[3 + k], wy[3 - k] = wy[2 + k] * along_y, wy[4 - k] / along_y
             for k in range(7):
-                wx[k] = np.exp(fall * (cx + k - 3 - qx) ** 2)
-                wy[k] = np.exp(fall * (cy + k - 3 - qy) ** 2)
+                wx[k] *= bell[k]
+                wy[k] *= bell[k]
             total, sx, sy = 0.0, 0.0, 0.0
             for r in range(7):
+                row, moment = 0.0, 0.0
                 for c in range(7):
-                    v = patch[r, c] * wx[c] * wy[r]
-                    total += v
-                    sx += v * (cx + c - 3)
-                    sy += v * (cy + r - 3)
+                    v = patch[r, c] * wx[c]
+                    row += v
+                    moment += v * (c - 3)
+                total += row * wy[r]
+                sx += moment * wy[r]
+                sy += row * wy[r] * (r - 3)
             if total <= 0.0:
                 good[i] = 0
                 break
-            nx, ny = sx / total, sy / total
+            nx, ny = cx + sx / total, cy + sy / total
             if (nx - x0) ** 2 + (ny - y0) ** 2 > reach * reach:
                 good[i] = 0
                 break

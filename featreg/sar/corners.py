@@ -19,7 +19,9 @@ CORNER_ITERATIONS = 3
 REACH = 2.0
 
 
-def fast_corners(image: NDArray[np.uint8], threshold: int, allowed: BoolArray) -> tuple[IntArray, NDArray[np.uint8]]:
+def fast_corners(
+    image: NDArray[np.uint8], threshold: int, allowed: BoolArray, most: int
+) -> tuple[IntArray, NDArray[np.uint8]]:
     """Return the FAST-9/16 corners of a map, local maxima of their score.
 
     Parameters
@@ -27,6 +29,7 @@ def fast_corners(image: NDArray[np.uint8], threshold: int, allowed: BoolArray) -
     image : (H, W) uint8
     threshold : least difference between the centre and nine contiguous points of the circle of radius 3, 0 to 254
     allowed : (H, W) bool, where a corner may lie
+    most : how many to return at most
 
     Returns
     -------
@@ -40,7 +43,7 @@ def fast_corners(image: NDArray[np.uint8], threshold: int, allowed: BoolArray) -
     room = image.size // 4 + 1
     at, values = np.empty(room, np.int64), np.empty(room, np.uint8)
     count = corner_kernels.collect_maxima(score, allowed.view(np.uint8), at, values)
-    order = np.argsort(255 - values[:count], kind="stable")
+    order = np.argsort(255 - values[:count], kind="stable")[:most]
     y, x = np.divmod(at[order], image.shape[1])
     return np.column_stack([x, y]), values[order]
 

@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from featreg.types import BoolArray, FloatArray, Image
 
@@ -69,9 +68,9 @@ def _smaller(image: Image, levels: int, factor: float) -> tuple[Image, ...]:
         if before.all_valid:
             mask = np.ones(pixels.shape, np.bool_)
         else:
-            share = cv2.resize(before.mask.astype(np.float32), size, interpolation=cv2.INTER_LINEAR)
-            mask = share > 0.999
-            pixels[~mask] = 0
+            share = cv2.resize(before.mask.view(np.uint8) * 255, size, interpolation=cv2.INTER_LINEAR)
+            mask = share == 255
+            pixels *= mask
         chain.append(Image(np.asarray(pixels, np.float32), mask, source_dtype=image.source_dtype))
     return tuple(chain[1:])
 

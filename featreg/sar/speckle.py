@@ -27,15 +27,30 @@ def despeckled(image: Image, sigma: float = 1.0) -> F32:
     return image.derive(_despeckled, sigma=float(sigma))
 
 
+def despeckled_bytes(image: Image, sigma: float = 1.0) -> NDArray[np.uint8]:
+    """Return `despeckled` in (H, W) uint8 steps of 1/32 around the mean level, for comparisons that need no more.
+
+    A quarter of the memory, so that scattered look-ups stay in the cache; the step is a fifth of what speckle leaves.
+    """
+    return image.derive(_despeckled_bytes, sigma=float(sigma))
+
+
+def _despeckled_bytes(image: Image, sigma: float) -> NDArray[np.uint8]:
+    import cv2
+
+    view = despeckled(image, sigma)
+    middle = float(cv2.mean(view)[0])
+    return np.asarray(cv2.convertScaleAbs(np.maximum(view, middle - 4), alpha=32, beta=128 - 32 * middle), np.uint8)
+
+
 def filled_amplitude(image: Image) -> F32:
     """Return the (H, W) float32 amplitude with invalid pixels at the mean of the valid ones."""
     return image.amplitude if image.all_valid else image.derive(_filled_amplitude)
 
 
 def _filled_amplitude(image: Image) -> F32:
-    amplitude = image.amplitude.copy()
-    amplitude[~image.mask] = mean_amplitude(image)
-    return amplitude
+    # Invalid pixels hold 0.
+    return image.amplitude + np.float32(mean_amplitude(image)) * ~image.mask
 
 
 def mean_amplitude(image: Image) -> float:

@@ -1,0 +1,191 @@
+"""SAR-OFAST: edge pyramid, shares of the levels, sub-pixel positions, masks, and parameters that are refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from featreg import registry
+from featreg.errors import ParameterError
+from featreg.io import as_image
+from featreg.sar.pyramid import SMALLEST, clearance, pyramid, to_base
+from featreg.types import Features, Image
+
+Texture = Callable[..., NDArray[np.float32]]
+
+
+def detect(picture: Image, **parameters: Any) -> Features:
+    return registry.create("detector", "sar-ofast", **parameters).detect_features(picture)
+
+
+def true_clearance(mask: NDArray[np.bool_], xy: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Exact distance of each point to the centre of the nearest invalid pixel."""
+    y, x = np.nonzero(~mask)
+    return np.asarray(np.hypot(xy[:, None, 0] - x, xy[:, None, 1] - y).min(axis=1))
+
+
+# Pyramid
+
+
+def test_levels_shrink_by_the_factor_until_they_are_too_small(sar_texture: Texture) -> None:
+    chain = pyramid(as_image(sar_texture(100, 140)), 20, 1.25)
+    shapes = [level.shape for level in chain]
+    assert shapes[:3] == [(100, 140), (80, 112), (64, 90)]
+    assert min(shapes[-1]) >= SMALLEST
+    assert min(shapes[-1]) / 1.25 < SMALLEST
+
+
+def test_levels_lie_on_each_other(sar_texture: Texture) -> None:
+    """A ramp keeps its values at the mapped places, so no level is shifted by half a pixel."""
+    y, x = np.mgrid[:150, :170].astype(np.float32)
+    for ramp in (x + 1, y + 1):
+        base = as_image(ramp)
+        for level in pyramid(base, 8, 1.2):
+            rows, columns = np.mgrid[5 : level.shape[0] - 5, 5 : level.shape[1] - 5]
+            at = to_base(np.column_stack([columns.ravel(), rows.ravel()]).astype(np.float64), level, base)
+            wanted = (at[:, 0] if ramp is not None and ramp[0, 1] != ramp[0, 0] else at[:, 1]) + 1
+            np.testing.assert_allclose(level.amplitude[5:-5, 5:-5].ravel(), wanted, atol=0.02)
+
+
+def test_a_level_averages_valid_pixels_only(sar_texture: Texture) -> None:
+    amplitude = sar_texture(120, 120) + 1
+    mask = np.ones(amplitude.shape, np.bool_)
+    mask[40:60, 30:70] = False
+    for level in pyramid(as_image(amplitude, mask=mask), 6, 1.2):
+        valid = level.amplitude[level.mask]
+        assert valid.min() >= amplitude[mask].min() * 0.999
+        assert not level.amplitude[~level.mask].any()
+        assert 0 < (~level.mask).mean() < 0.25
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_clearance_is_the_distance_to_what_is_no_data(masked: bool) -> None:
+    mask = np.ones((40, 50), np.bool_)
+    if masked:
+        mask[10:14, 20:30] = False
+    picture = Image(mask.astype(np.float32), mask)
+    y, x = np.mgrid[:40, :50]
+    outside = np.minimum(np.minimum(x, 49 - x), np.minimum(y, 39 - y)) + 1.0
+    points = np.column_stack([x.ravel(), y.ravel()]).astype(np.float64)
+    inner = true_clearance(mask, points).reshape(mask.shape) if masked else np.full(mask.shape, np.inf)
+    np.testing.assert_allclose(clearance(picture), np.minimum(outside, inner), rtol=0.025)
+
+
+# Detector
+
+
+@pytest.mark.parametrize("n_features", [1, 2, 7, 100, 100000])
+def test_the_budget_is_kept_and_the_best_come_first(sar_texture: Texture, n_features: int) -> None:
+    found = detect(as_image(sar_texture()), n_features=n_features)
+    assert 0 < len(found) <= n_features
+    assert (np.diff(found.score) <= 0).all()
+
+
+def test_scores_are_above_the_threshold(sar_texture: Texture) -> None:
+    picture = as_image(sar_texture())
+    low, high = detect(picture, threshold=10), detect(picture, threshold=60)
+    assert low.score.min() > 10
+    assert high.score.min() > 60
+    assert 0 < len(high) < len(low)
+
+
+def test_points_of_a_level_are_as_many_times_larger_as_the_level_is_smaller(sar_texture: Texture) -> None:
+    found = detect(as_image(sar_texture(300, 300)), factor=1.2, levels=5)
+    assert set(found.level) == set(range(5))
+    for level in range(5):
+        scale = found.scale[found.level == level]
+        np.testing.assert_allclose(scale, scale[0])
+        assert scale[0] == pytest.approx(20.0 * 1.2**level, rel=0.01)
+
+
+def test_each_level_uses_its_own_edge_map(sar_texture: Texture) -> None:
+    """2.3.2: what is found on level n of an image is what is found on the first level of that level's image."""
+    picture = as_image(sar_texture(200, 220))
+    plenty = {"n_features": 10**6, "subpixel": "none"}
+    found = detect(picture, levels=3, **plenty)
+    level = pyramid(picture, 3, 1.2)[2]
+    alone = detect(Image(np.array(level.amplitude), np.array(level.mask)), levels=1, **plenty)
+    on_level = found.take(found.level == 2)
+    np.testing.assert_allclose(
+        sorted(map(tuple, np.round(on_level.xy, 6))), sorted(map(tuple, np.round(to_base(alone.xy, level, picture), 6)))
+    )
+
+
+@pytest.mark.parametrize("subpixel", ["centroid", "corner", "none"])
+def test_sub_pixel_positions_stay_near_their_pixel(sar_texture: Texture, subpixel: str) -> None:
+    picture = as_image(sar_texture())
+    plenty: dict[str, Any] = {"levels": 1, "n_features": 10**6}
+    whole, moved = detect(picture, subpixel="none", **plenty), detect(picture, subpixel=subpixel, **plenty)
+    shift = np.hypot(*(moved.xy - whole.xy).T)
+    assert shift.max() <= 2.0 + 1e-9
+    assert (shift.max() > 0.1) == (subpixel != "none")
+
+
+def test_the_centre_of_a_point_target_is_found_to_a_tenth_of_a_pixel() -> None:
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[:160, :160].astype(np.float64)
+    truth = np.array([(40.3, 50.6), (110.45, 40.2), (80.0, 110.75), (50.7, 115.1)])
+    blobs = sum(np.exp(-0.5 * ((x - a) ** 2 + (y - b) ** 2) / 1.2**2) for a, b in truth)
+    found = detect(as_image(1 + 12 * blobs + rng.normal(0, 0.01, x.shape)), levels=1)
+    for point in truth:
+        assert np.hypot(*(found.xy - point).T).min() < 0.1
+
+
+def test_no_support_touches_nodata_or_leaves_the_image(sar_texture: Texture) -> None:
+    amplitude = sar_texture(260, 260)
+    mask = np.ones(amplitude.shape, np.bool_)
+    mask[100:130, 120:150] = False
+    mask[:, :30] = False
+    found = detect(as_image(amplitude, mask=mask))
+    assert len(found) > 50
+    assert (true_clearance(np.pad(mask, 1), found.xy + 1) >= found.scale).all()
+
+
+def test_what_lies_under_the_mask_has_no_influence(sar_texture: Texture) -> None:
+    amplitude = sar_texture()
+    mask = np.ones(amplitude.shape, np.bool_)
+    mask[80:110, 90:120] = False
+    other = np.where(mask, amplitude, 50)
+    first, second = (detect(as_image(a, mask=mask)) for a in (amplitude, other))
+    np.testing.assert_array_equal(first.xy, second.xy)
+    np.testing.assert_array_equal(first.angle, second.angle)
+
+
+def test_speckle_of_a_homogeneous_field_gives_weaker_corners_than_targets(sar_texture: Texture) -> None:
+    rng = np.random.default_rng(0)
+    field = np.sqrt(rng.gamma(4, 0.25, (200, 200)))
+    field[60:64, 60:64] = 15
+    field[130:133, 120:123] = 15
+    best = detect(as_image(field), levels=1).best(2).xy
+    near = [min(np.hypot(*(best - c).T)) for c in ((61.5, 61.5), (121.0, 131.0))]
+    assert max(near) < 5
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        {"n_features": 0},
+        {"levels": 0},
+        {"factor": 1.0},
+        {"factor": float("nan")},
+        {"quota_decay": 0.5},
+        {"edge": "sobel"},
+        {"subpixel": "parabola"},
+        {"alpha": 0.0},
+        {"alpha": float("nan")},
+        {"floor": -1.0},
+        {"threshold": -1},
+        {"threshold": 255},
+        {"support": -1.0},
+        {"sigma": 0.0},
+        {"sigma": float("nan")},
+    ],
+    ids=str,
+)
+def test_impossible_parameters_are_refused_when_the_detector_is_made(parameters: dict[str, Any]) -> None:
+    with pytest.raises(ParameterError):
+        registry.create("detector", "sar-ofast", **parameters)
