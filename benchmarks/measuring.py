@@ -29,15 +29,15 @@ DATA = Path(os.environ.get("FEATREG_DATA", Path(__file__).parents[2] / "shared" 
 SAMPLE_S = 0.005
 
 
-def on_one_thread() -> None:
-    """Start the script again with one thread for every library and, where the system can, on one core."""
+def on_one_thread(*, pinned: bool = True) -> None:
+    """Start the script again with one thread for every library and, if `pinned` and possible, on one core."""
     if any(os.environ.get(name) != "1" for name in THREADS):
         done = subprocess.run(
             [sys.executable, *sys.argv], env={**os.environ, **dict.fromkeys(THREADS, "1")}, check=False
         )
         sys.exit(done.returncode)
     cv2.setNumThreads(1)
-    if hasattr(os, "sched_setaffinity"):
+    if pinned and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
 
 

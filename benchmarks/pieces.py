@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import cv2
@@ -50,7 +51,7 @@ def ratio_gradients(side: int, rng: np.random.Generator, rounds: int) -> Iterato
     copy = np.empty_like(image)
     functions: dict[str, Callable[[], Any]] = {"copy": lambda: np.copyto(copy, image)}
     for alpha in (2.0, 8.0):
-        functions[f"alpha {alpha:g}"] = lambda alpha=alpha: roewa(image, alpha)
+        functions[f"alpha {alpha:g}"] = partial(roewa, image, alpha)
     found = measure(functions, rounds)
     for alpha in (2.0, 8.0):
         name = f"alpha {alpha:g}"
@@ -91,7 +92,7 @@ def nearest(rng: np.random.Generator, rounds: int) -> Iterator[Row]:
             "both": lambda: both_ways.match_features(a, b),
             "cv2 both": lambda: crossed.match(*bits),
             "l2": lambda: ratio.match_features(x, y),
-            "cv2 l2": lambda: euclid.knnMatch(*reals, 2),
+            "cv2 l2": lambda: euclid.knnMatch(reals[0], reals[1], 2),
         },
         rounds,
     )
@@ -117,7 +118,9 @@ def tie_points(rng: np.random.Generator, share: float) -> tuple[featreg.Matches,
 
 def motion_statistics(rng: np.random.Generator, rounds: int) -> Iterator[Row]:
     matches, _ = tie_points(rng, 0.3)
-    keypoints = [[cv2.KeyPoint(*p, 1) for p in xy.tolist()] for xy in (matches.reference_xy, matches.secondary_xy)]
+    keypoints = [
+        [cv2.KeyPoint(float(x), float(y), 1.0) for x, y in xy] for xy in (matches.reference_xy, matches.secondary_xy)
+    ]
     pairs = [cv2.DMatch(i, i, 0) for i in range(POINTS)]
     context = featreg.FilterContext((600, 600), (600, 600), Affine)
     for rotation in (False, True):
@@ -127,7 +130,9 @@ def motion_statistics(rng: np.random.Generator, rounds: int) -> Iterator[Row]:
             return keeper.keep(matches, context)
 
         def theirs(rotation: bool = rotation) -> Any:
-            return cv2.xfeatures2d.matchGMS((600, 600), (600, 600), *keypoints, pairs, rotation, False, 6.0)
+            return cv2.xfeatures2d.matchGMS(
+                (600, 600), (600, 600), keypoints[0], keypoints[1], pairs, rotation, False, 6.0
+            )
 
         found = measure({"ours": ours, "cv2": theirs}, rounds)
         kept = f"{int(ours().sum())} and {len(theirs())} kept"
@@ -162,8 +167,9 @@ def consensus(rng: np.random.Generator, rounds: int) -> Iterator[Row]:
 
 def correlation(rng: np.random.Generator, rounds: int) -> Iterator[Row]:
     half, search = 24, 2
-    image = cv2.GaussianBlur(rng.normal(size=(600, 600)).astype(np.float32), (0, 0), 1.5)
-    moved = np.roll(image, (1, -1), (0, 1)) + rng.normal(0, 0.05, image.shape).astype(np.float32)
+    white = rng.standard_normal((600, 600), dtype=np.float32)
+    image: NDArray[np.float32] = np.asarray(cv2.GaussianBlur(white, (0, 0), 1.5), np.float32)
+    moved = np.roll(image, (1, -1), (0, 1)) + np.float32(0.05) * rng.standard_normal(image.shape, dtype=np.float32)
     reach = half + search + 1
     at = rng.integers(reach, 600 - reach, (POINTS, 2))
 

@@ -86,7 +86,7 @@ class SarOfast(Detector):
                     xy=to_base(self._subpixel(level, at), level, image),
                     scale=scale,
                     angle=orientation(view, at, ORIENTATION_RADIUS),
-                    score=score[:count],
+                    score=score[:count].astype(np.float64),
                     level=np.full(len(at), number),
                 )
             )

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from featreg.compare import compare
     from featreg.errors import FeatregError
     from featreg.evaluation import evaluate
+    from featreg.extractor import extractor
     from featreg.feature_matcher import FeatureMatcher
     from featreg.interfaces import (
         Descriptor,
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from featreg.registry import available, create, register, register_family
     from featreg.resample import warp
     from featreg.types import Features, Image, Matches, Registration
-    from featreg.extractor import extractor
     from featreg.warm_up import warm_up
 
 # Public name -> module that defines it; each is imported when first asked for, so that `import featreg` is quick.
@@ -61,7 +61,36 @@ _HOMES = {
     "warp": "resample",
 }
 
-__all__ = ["__version__", *sorted(_HOMES)]
+__all__ = [
+    "Descriptor",
+    "Detector",
+    "FailedFit",
+    "FeatregError",
+    "FeatureMatcher",
+    "Features",
+    "Filter",
+    "FilterContext",
+    "Image",
+    "Matcher",
+    "Matches",
+    "Model",
+    "Nearest",
+    "Pipeline",
+    "Registration",
+    "__version__",
+    "as_image",
+    "available",
+    "compare",
+    "create",
+    "evaluate",
+    "extractor",
+    "fit",
+    "match",
+    "register",
+    "register_family",
+    "warm_up",
+    "warp",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -18,6 +18,7 @@ from featreg.cli_options import (
     announce_compiling,
     check_name,
     check_output,
+    check_types,
     distance,
     limited_threads,
     parse_settings,
@@ -109,6 +110,7 @@ def match(
 
         if initial is not None:
             search_radius = RADIUS if search_radius is None else search_radius
+        check_types(method, keywords)
         announce_compiling()
         progress(f"registering '{secondary}' to '{reference}'")
         result = register(

@@ -51,7 +51,7 @@ class FeatureMatcher(Matcher):
             return Matches.empty()
         rotation = self._vote(reference, secondary, *found)
         if rotation is not None:
-            found = [replace(found[0], angle=np.zeros(len(found[0]))), replace(found[1], angle=rotation)]
+            found = [replace(f, angle=np.full(len(f), turn)) for f, turn in zip(found, (0.0, rotation), strict=True)]
         a, b = self._describe(reference, found[0]), self._describe(secondary, found[1])
         with stage("match"):
             pairs, score = self.nearest.match_features(a, b)
@@ -92,7 +92,7 @@ def common_rotation(differences: FloatArray) -> float | None:
     wrapped = _wrapped(differences)
     bins: IntArray = np.floor((wrapped + math.pi) / (2 * math.pi) * BINS).astype(np.int64) % BINS
     counts = np.bincount(bins, minlength=BINS)
-    window = sum(np.roll(counts, shift) for shift in range(-SMOOTHING, SMOOTHING + 1))
+    window = np.sum([np.roll(counts, shift) for shift in range(-SMOOTHING, SMOOTHING + 1)], axis=0)
     best = int(np.argmax(window))
     expected = len(wrapped) * (2 * SMOOTHING + 1) / BINS
     if window[best] < expected + SIGNIFICANCE * math.sqrt(expected):

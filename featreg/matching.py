@@ -105,7 +105,7 @@ def fit(
     matches = points if isinstance(points, Matches) else _as_matches(points)
     pipeline = assemble(_NoMatcher(), model=model, refine=False, filters=filters, **keywords)
     shapes = [
-        tuple(given) if given is not None else _outer_shape(xy)
+        given if given is not None else _outer_shape(xy)
         for given, xy in ((reference_shape, matches.reference_xy), (secondary_shape, matches.secondary_xy))
     ]
     with collecting() as timings:

@@ -116,7 +116,16 @@ class Pipeline:
                     stages["refine"] = np.zeros(len(matches), np.bool_)
         with stage("trust"):
             status, reason, gates = assess(
-                matches, putative, supported, inliers, judged, shapes[0], shapes[1], self.limits, initial
+                matches,
+                putative,
+                supported,
+                inliers,
+                judged,
+                shapes[0],
+                shapes[1],
+                self.limits,
+                initial,
+                search_radius,
             )
         return Registration(
             matches, stages, inliers, judged, status, reason, gates, dict(timings or {}), self._provenance(seed)

@@ -5,6 +5,7 @@ What the samples mean (amplitude, intensity, decibels) is decided in `featreg.io
 
 from __future__ import annotations
 
+import logging
 import re
 import warnings
 from collections.abc import Callable, Iterator
@@ -31,7 +32,11 @@ MAGIC = {
 # GDAL's fast path for whole 8-bit PNGs returns garbage, without an error, for a truncated file (3.10); a broken JPEG
 # is only a warning to it unless told otherwise.
 GDAL_OPTIONS = {"GDAL_PNG_WHOLE_IMAGE_OPTIM": "NO", "GDAL_ERROR_ON_LIBJPEG_WARNING": "YES"}
+# Mean difference, in gray levels, between the bands of a JPEG that still counts as gray.
+MOST_TINT = 12.0
 NUMERIC = ("double", "single", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64")
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,6 +150,22 @@ def _read_gdal(path: Path, head: bytes, variable: str | None) -> Raster:
         return _read_dataset(path, dataset)
 
 
+def _gray(path: Path, colours: NDArray[Any], driver: str) -> NDArray[Any]:
+    """The one band that three equal ones hold; of a JPEG, whose colours are not exact, the luminance of near-grays."""
+    first = colours[0]
+    if all(np.array_equal(first, other, equal_nan=first.dtype.kind in "fc") for other in colours[1:]):
+        return first
+    if driver == "JPEG":
+        tint = float((colours.max(axis=0).astype(np.int16) - colours.min(axis=0)).mean())
+        if tint <= MOST_TINT:
+            logger.warning("%s: three bands that differ by %.1f gray levels; their luminance is used", path, tint)
+            luminance = np.tensordot(np.array([0.299, 0.587, 0.114]), colours.astype(np.float64), axes=1)
+            return np.rint(luminance).astype(first.dtype)
+    raise InputError(
+        f"{path}: has 3 bands that differ (a colour image), one band is needed; extract one (gdal_translate -b 1)"
+    )
+
+
 def _read_dataset(path: Path, dataset: Any) -> Raster:
     from rasterio.enums import ColorInterp, MaskFlags
 
@@ -158,12 +179,8 @@ def _read_dataset(path: Path, dataset: Any) -> Raster:
             "and give complex samples as one complex band"
         )
     samples = dataset.read(bands[0])
-    for other in bands[1:]:
-        if not np.array_equal(samples, dataset.read(other), equal_nan=samples.dtype.kind in "fc"):
-            raise InputError(
-                f"{path}: has 3 bands that differ (a colour image), one band is needed; "
-                "extract one (gdal_translate -b 1)"
-            )
+    if len(bands) == 3:
+        samples = _gray(path, np.stack([samples, *(dataset.read(band) for band in bands[1:])]), dataset.driver)
     flags = dataset.mask_flag_enums[bands[0] - 1]
     mask = None
     if MaskFlags.per_dataset in flags or MaskFlags.alpha in flags:

@@ -155,7 +155,7 @@ class Refine:
         def test(xy: IntArray) -> BoolArray:
             good = here[xy[:, 1], xy[:, 0]].copy()
             around = model((xy[good][:, None, :] + corners).reshape(-1, 2)).reshape(-1, 4, 2)
-            inside = ((around >= 0) & (around <= [width - 1, height - 1])).all(axis=(1, 2))
+            inside = np.asarray(((around >= 0) & (around <= [width - 1, height - 1])).all(axis=(1, 2)))
             if there is not None:
                 # Between the corners too: the rim of nodata may bend into the window.
                 inside[inside] = _all_clear(there, model, xy[good][inside], reach)
@@ -203,8 +203,8 @@ def halved(image: F32) -> F32:
     import cv2
 
     height, width = image.shape[0] // 2, image.shape[1] // 2
-    small: F32 = cv2.resize(image[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
-    return small
+    small = cv2.resize(image[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
+    return np.asarray(small, np.float32)
 
 
 def strongest_of_cells(view: F32, count: int, margin: int) -> IntArray:

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from featreg.geometry import decompose, local_linear
+from featreg.errors import InputError
+from featreg.geometry import decompose, local_linear, prediction_covariance
 from featreg.interfaces import FailedFit, Model
 from featreg.types import BoolArray, FloatArray, Gate, IntArray, Matches
 
@@ -32,17 +33,17 @@ class Limits:
     significance : log10 of the expected number of equally good models among chance matches, at most
     held_out_px : median residual of tie points that were left out of the fit, at most
     scale : the model's scale lies between 1 / scale and scale
+    uncertainty_px : root mean square over the image of the model's own standard error, at most
     anisotropy : largest ratio of the model's two scales
-    prior_px : largest mean distance from a model known beforehand
     """
 
-    least_inliers: int = 12
-    least_spread: float = 0.08
-    significance: float = -8.0
+    least_inliers: int = 8
+    least_spread: float = 0.05
+    significance: float = -4.0
     held_out_px: float = 2.0
     scale: float = 2.5
     anisotropy: float = 1.5
-    prior_px: float = math.inf
+    uncertainty_px: float = 2.0
 
 
 def assess(
@@ -55,6 +56,7 @@ def assess(
     secondary_shape: tuple[int, int],
     limits: Limits,
     initial: Model | None = None,
+    search_radius: float | None = None,
 ) -> tuple[str, str, Mapping[str, Gate]]:
     """Judge a registration.
 
@@ -67,7 +69,7 @@ def assess(
     model : the final model
     reference_shape, secondary_shape : (H, W)
     limits : what must be reached
-    initial : a model known beforehand, if any
+    initial, search_radius : a model known beforehand, if any, and how far from it in pixels the result may lie
 
     Returns
     -------
@@ -99,6 +101,12 @@ def assess(
         "median residual of points left out, px",
         high=limits.held_out_px,
     )
+    gate(
+        "uncertainty",
+        model_uncertainty(model, here, there, reference_shape),
+        "standard error of the model over the image, px",
+        high=limits.uncertainty_px,
+    )
     height, width = reference_shape
     centre = np.array([[(width - 1) / 2, (height - 1) / 2]])
     linear = local_linear(model, centre)[0]
@@ -106,10 +114,9 @@ def assess(
     _, scale, anisotropy, _ = decompose(linear)
     gate("scale", math.nan if mirrored else scale, "scale at the centre", low=1 / limits.scale, high=limits.scale)
     gate("anisotropy", anisotropy, "ratio of the two scales at the centre", high=limits.anisotropy)
-    if initial is not None and math.isfinite(limits.prior_px):
-        corners = np.array([[0, 0], [width - 1, 0], [0, height - 1], [width - 1, height - 1]], np.float64)
-        apart = float(np.hypot(*(model(corners) - initial(corners)).T).mean())
-        gate("prior", apart, "mean distance from the initial model at the corners, px", high=limits.prior_px)
+    if initial is not None:
+        apart = float(np.hypot(*(model(here) - initial(here)).T).mean()) if len(here) else math.nan
+        gate("prior", apart, "mean distance from the initial model, px", high=search_radius)
     failed = [f"{name} {_text(g)}" for name, g in gates.items() if not g.passed]
     if failed:
         return "unreliable", "; ".join(failed), gates
@@ -186,6 +193,25 @@ def _moves(matches: Matches) -> int:
 
 def _log10_choose(n: int, k: int) -> float:
     return (math.lgamma(n + 1) - math.lgamma(k + 1) - math.lgamma(n - k + 1)) / math.log(10)
+
+
+def model_uncertainty(
+    model: Model, reference_xy: FloatArray, secondary_xy: FloatArray, shape: tuple[int, int]
+) -> float:
+    """Root mean square standard error in pixels of where a model maps a 5 x 5 grid over an image of (H, W).
+
+    Large where the tie points are few, or huddle in one part of the image. NaN where it cannot be told.
+    """
+    x, y = np.meshgrid(np.linspace(0, shape[1] - 1, 5), np.linspace(0, shape[0] - 1, 5))
+    grid = np.column_stack([x.ravel(), y.ravel()])
+    try:
+        covariance = prediction_covariance(model, reference_xy, secondary_xy, at=grid)
+    except InputError:
+        # A model of another package: its derivatives are unknown, so the other gates must do.
+        return 0.0
+    if isinstance(covariance, FailedFit):
+        return math.nan
+    return float(np.sqrt(np.trace(covariance, axis1=1, axis2=2).mean()))
 
 
 def held_out(kind: type[Model], reference_xy: FloatArray, secondary_xy: FloatArray) -> float:

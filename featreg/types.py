@@ -72,8 +72,8 @@ class Geolocation:
     """Where an image lies on the ground, as its file says it; any of the three forms may be missing.
 
     `transform` is GDAL's affine (a, b, c, d, e, f) from pixel corners to `crs` (WKT or authority code); `rpcs` holds
-    the rational polynomial coefficients under rasterio's names; `gcps` rows are (x, y, ground x, ground y, ground z) with
-    x, y in this package's pixel convention.
+    the rational polynomial coefficients under rasterio's names; `gcps` rows are (x, y, ground x, ground y, ground z)
+    with x, y in this package's pixel convention.
     """
 
     transform: tuple[float, float, float, float, float, float] | None = None
@@ -225,8 +225,13 @@ class Features:
         """The undescribed features of all parts, one after the other."""
         if not parts:
             return cls.empty()
-        names = ("xy", "scale", "angle", "score", "level")
-        return cls(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+        return cls(
+            xy=np.concatenate([part.xy for part in parts]),
+            scale=np.concatenate([part.scale for part in parts]),
+            angle=np.concatenate([part.angle for part in parts]),
+            score=np.concatenate([part.score for part in parts]),
+            level=np.concatenate([part.level for part in parts]),
+        )
 
     def __len__(self) -> int:
         return len(self.xy)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,7 +75,7 @@ def _similarity(distance: FloatArray, length: int, norm: str) -> FloatArray:
 Neighbours = tuple[IntArray, IntArray, FloatArray, FloatArray]
 
 
-def _hamming(a: NDArray[np.uint8], b: NDArray[np.uint8], ratio: bool) -> Neighbours:
+def _hamming(a: NDArray[Any], b: NDArray[Any], ratio: bool) -> Neighbours:
     from featreg.sar import binary_kernels
 
     x, y = as_words(a), np.ascontiguousarray(as_words(b).T)
@@ -89,14 +90,14 @@ def _hamming(a: NDArray[np.uint8], b: NDArray[np.uint8], ratio: bool) -> Neighbo
     return forward, backward, distance, second.astype(np.float64)
 
 
-def as_words(packed: NDArray[np.uint8]) -> NDArray[np.uint64]:
+def as_words(packed: NDArray[Any]) -> NDArray[np.uint64]:
     """View (N, D) bytes as (N, W) 64-bit words, zero-padded to a multiple of four words."""
     missing = -packed.shape[1] % 32
     padded = np.pad(packed, ((0, 0), (0, missing))) if missing else np.ascontiguousarray(packed)
     return padded.view(np.uint64)
 
 
-def _euclidean(a: NDArray[np.float32], b: NDArray[np.float32], ratio: bool) -> Neighbours:
+def _euclidean(a: NDArray[Any], b: NDArray[Any], ratio: bool) -> Neighbours:
     """Squared distances as |a|^2 + |b|^2 - 2ab, a block of rows at a time, so that memory stays bounded."""
     from featreg.sar import distance_kernels
 

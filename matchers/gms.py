@@ -25,7 +25,7 @@ class Gms(Filter):
     Parameters
     ----------
     grid : cells along each side of the reference image
-    threshold_factor : a cell's support must reach `threshold_factor` times the square root of the mean number of matches per cell
+    threshold_factor : a cell's support must reach this many times the root of the mean number of matches a cell
     rotation : try the eight turns of the neighbourhood by 45 degrees, not only the upright one
     scale : try five ratios of the cell sizes (1/2 to 2), not only equal ones
 
@@ -72,7 +72,7 @@ class Gms(Filter):
         counts = np.empty((cells, side * side), np.int64)
         population, best, passed = np.empty(cells, np.int64), np.empty(cells, np.int64), np.empty(cells, np.bool_)
         turns = range(8) if self.rotation else range(1)
-        kept = np.zeros((len(turns), len(right)), np.bool_)
+        kept = [np.zeros(len(right), np.bool_) for _ in turns]
         for left in lefts:
             motion_kernels.count_motions(left, right, counts, population, best)
             for turn in turns:
@@ -80,13 +80,13 @@ class Gms(Filter):
                     counts, population, best, self.grid, side, side, _turned(turn), self.threshold_factor, passed
                 )
                 motion_kernels.mark_matches(left, right, best, passed, kept[turn])
-        return np.asarray(kept[int(np.argmax(kept.sum(axis=1)))])
+        return max(kept, key=np.count_nonzero)
 
 
 def _unit(xy: FloatArray, shape: tuple[int, int]) -> FloatArray:
     """Points as shares of the image's width and height, NaN outside it."""
     size = np.array(shape[::-1], np.float64)
-    inside = ((xy >= -0.5) & (xy < size - 0.5)).all(axis=1)
+    inside = np.asarray(((xy >= -0.5) & (xy < size - 0.5)).all(axis=1))
     return np.where(inside[:, None], np.maximum(xy, 0) / size, np.nan)
 
 

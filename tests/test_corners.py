@@ -87,7 +87,7 @@ def test_every_other_row_can_be_asked_for() -> None:
 def test_maxima_hold_no_two_neighbours_and_miss_none(picture: U8) -> None:
     found = scores(picture, 10).astype(int)
     allowed = np.random.default_rng(0).random(picture.shape) < 0.8
-    xy, score = fast_corners(picture, 10, allowed)
+    xy, score = fast_corners(picture, 10, allowed, 10**6)
     assert allowed[xy[:, 1], xy[:, 0]].all()
     np.testing.assert_array_equal(score, found[xy[:, 1], xy[:, 0]])
     marked = np.zeros(picture.shape, np.bool_)
@@ -99,6 +99,9 @@ def test_maxima_hold_no_two_neighbours_and_miss_none(picture: U8) -> None:
         padded[1 + dy : padded.shape[0] - 1 + dy, 1 + dx : padded.shape[1] - 1 + dx]
         for dy in (-1, 0, 1) for dx in (-1, 0, 1) if (dx, dy) != (0, 0)
     ]  # fmt: skip
+    assert (np.diff(score.astype(int)) <= 0).all()
+    few = fast_corners(picture, 10, allowed, 5)
+    np.testing.assert_array_equal(few[0], xy[:5])
     alone = (found > 0) & np.all([found > a for a in around], axis=0)  # strictly above all eight
     assert marked[alone & allowed].all()
     assert cv2.filter2D(marked.astype(np.float32), -1, np.ones((3, 3), np.float32))[marked].max() < 1.5
@@ -106,7 +109,7 @@ def test_maxima_hold_no_two_neighbours_and_miss_none(picture: U8) -> None:
 
 @pytest.mark.parametrize("shape", [(1, 1), (6, 6), (7, 7), (3, 40), (40, 3), (6, 64), (7, 64)])
 def test_tiny_maps_have_few_or_no_corners(shape: tuple[int, int]) -> None:
-    xy, score = fast_corners(np.zeros(shape, np.uint8), 10, np.ones(shape, np.bool_))
+    xy, score = fast_corners(np.zeros(shape, np.uint8), 10, np.ones(shape, np.bool_), 100)
     assert xy.shape == (0, 2)
     assert score.shape == (0,)
 
@@ -114,7 +117,7 @@ def test_tiny_maps_have_few_or_no_corners(shape: tuple[int, int]) -> None:
 def test_the_smallest_map_with_a_corner() -> None:
     dot = np.zeros((7, 7), np.uint8)
     dot[3, 3] = 200
-    xy, score = fast_corners(dot, 10, np.ones((7, 7), np.bool_))
+    xy, score = fast_corners(dot, 10, np.ones((7, 7), np.bool_), 100)
     assert (xy.tolist(), score.tolist()) == ([[3, 3]], [200.0])
 
 

@@ -384,3 +384,22 @@ def test_images_are_locked_and_io_is_imported_light(tmp_path: Path) -> None:
     code = "import sys, featreg.io, featreg.resample; print(*{'rasterio', 'scipy', 'cv2', 'numba'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == ""
+
+
+def test_a_jpeg_of_near_grays_is_read_as_its_luminance_and_a_colourful_one_is_refused(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    import cv2
+
+    rng = np.random.default_rng(3)
+    gray = cv2.GaussianBlur(rng.integers(0, 256, (64, 64)).astype(np.uint8), (5, 5), 2)
+    tinted = np.clip(np.stack([gray, gray, gray.astype(int) + 6], axis=2), 0, 255).astype(np.uint8)
+    colourful = cv2.resize(rng.integers(0, 256, (8, 8, 3)).astype(np.uint8), (64, 64))
+    cv2.imwrite(str(tmp_path / "tinted.jpg"), tinted, [cv2.IMWRITE_JPEG_QUALITY, 100])
+    cv2.imwrite(str(tmp_path / "colourful.jpg"), colourful)
+    with caplog.at_level("WARNING"):
+        image = as_image(tmp_path / "tinted.jpg")
+    assert "luminance" in caplog.text
+    np.testing.assert_allclose(image.pixels, gray, atol=6)
+    with pytest.raises(InputError, match="3 bands that differ"):
+        as_image(tmp_path / "colourful.jpg")

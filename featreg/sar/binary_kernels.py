@@ -70,7 +70,7 @@ def _add_four(a0: int, a1: int, a2: int, a3: int, b0: U64, b1: U64, b2: U64, b3:
 
 
 @compiled
-def _keep_best(distances: U64, i: int, base: int, columns: U64) -> int:
+def _keep_best(distances: U64, i: int, base: int, columns: U64) -> np.uint64:
     """Smallest (distance, column) of a row as one number, and the running smallest (distance, row) of each column."""
     best = np.uint64(0xFFFFFFFFFFFFFFFF)
     for j in range(distances.shape[0]):

@@ -14,7 +14,7 @@ I64 = NDArray[np.int64]
 
 
 @compiled
-def _segment_scores(r0: U8, r1: U8, r2: U8, r3: U8, r4: U8, r5: U8, r6: U8, threshold: int, score: U8) -> None:
+def _segment_scores(r0: U8, r1: U8, r2: U8, r3: U8, r4: U8, r5: U8, r6: U8, threshold: np.uint8, score: U8) -> None:
     """FAST-9/16 scores of one row, given the seven rows around it: 64 pixels at once, without a branch.
 
     Eight contiguous points p[k]..p[k+7], k odd, are shared by the two arcs of nine that add p[k-1] or p[k+8]; the

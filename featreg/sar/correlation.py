@@ -56,7 +56,8 @@ def local_correlations(first: F32, second: F32, xy: IntArray, half: int, search:
     b = second - np.float32(cv2.mean(second)[0])
     side = 2 * half + 1
     found = np.empty((len(xy), 2 * search + 1, 2 * search + 1))
-    mean, square = cv2.boxFilter(b, -1, (side, side)), cv2.sqrBoxFilter(b, -1, (side, side))
+    mean = np.asarray(cv2.boxFilter(b, -1, (side, side)), np.float32)
+    square = np.asarray(cv2.sqrBoxFilter(b, -1, (side, side)), np.float32)
     correlation_kernels.correlations(a, b, mean, square, xs, ys, half, search, found)
     back = np.empty_like(found)
     back[order] = found
@@ -70,7 +71,7 @@ def peaks(correlations: FloatArray) -> Peaks:
     """
     n, side, _ = correlations.shape
     search = side // 2
-    best = correlations.reshape(n, -1).argmax(axis=1)
+    best = correlations.reshape(n, side * side).argmax(axis=1)
     row, col = best // side, best % side
     inside = (row > 0) & (row < side - 1) & (col > 0) & (col < side - 1)
     r, c = np.clip(row, 1, side - 2), np.clip(col, 1, side - 2)

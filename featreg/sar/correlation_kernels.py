@@ -24,7 +24,7 @@ def _enter_window(enter_a: F32, enter_b: F32, sums: F32) -> None:
 
 
 @compiled
-def _window_total(sums: F32, start: int, count: int) -> float:
+def _window_total(sums: F32, start: int, count: int) -> np.float32:
     """Sum of `count` values: four running totals, so that the additions need not wait for each other."""
     a = b = c = d = np.float32(0)
     fours = count // 4 * 4
@@ -35,7 +35,7 @@ def _window_total(sums: F32, start: int, count: int) -> float:
         d += sums[k + 3]
     for k in range(start + fours, start + count):
         a += sums[k]
-    return (a + b) + (c + d)
+    return np.float32((a + b) + (c + d))
 
 
 @compiled

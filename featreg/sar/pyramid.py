@@ -29,7 +29,7 @@ def pyramid(image: Image, levels: int = 8, factor: float = 1.2) -> tuple[Image, 
 def to_base(xy: FloatArray, level: Image, base: Image) -> FloatArray:
     """Map (N, 2) points of a pyramid level to the base image: ``(x + 0.5) * s - 0.5`` on each axis."""
     scale = np.array([base.shape[1] / level.shape[1], base.shape[0] / level.shape[0]])
-    return (xy + 0.5) * scale - 0.5
+    return np.asarray((xy + 0.5) * scale - 0.5)
 
 
 def share_out(total: int, supply: Sequence[int], decay: float) -> list[int]:

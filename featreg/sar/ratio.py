@@ -126,8 +126,7 @@ def edge_strength(gx: F32, gy: F32, *, eq5: bool = False) -> F32:
     import cv2
 
     if not eq5:
-        length: F32 = cv2.magnitude(gx, gy)
-        return length
+        return np.asarray(cv2.magnitude(gx, gy), np.float32)
     strength = np.sqrt(np.exp(2 * np.abs(gx)) + np.exp(2 * np.abs(gy))) - np.float32(math.sqrt(2))
     return np.asarray(strength, np.float32)
 
@@ -155,8 +154,7 @@ def quantised_edges(image: Image, alpha: float, floor: float = FLOOR, eq5: bool 
     top = min(float(ranked[high]), 5 * float(ranked[middle])) or float(ranked[high])
     if not top > 0:
         return np.zeros(image.shape, np.uint8)
-    quantised: NDArray[np.uint8] = cv2.convertScaleAbs(strength, alpha=255.0 / top)
-    return quantised
+    return np.asarray(cv2.convertScaleAbs(strength, alpha=255.0 / top), np.uint8)
 
 
 def _side_weights(count: int, decay: float) -> F32:

@@ -134,7 +134,8 @@ def log_ratios(
 
     `up` (2, H, W) is scratch for the downward pass. `floor` (H,) is added to every sum, in units of the sums of that
     row; `balance_x` (W,), `balance_y` (H,) are the log ratios of the weights that exist on the two sides. Where
-    `strength` is (H, W) it gets the length of the gradient and `gx`, `gy` are single rows; else it is (0, W). The short loops stand in functions of their own: only so does the compiler prove them free of overlap and vectorise.
+    `strength` is (H, W) it gets the length of the gradient and `gx`, `gy` are single rows; else it is (0, W). The short
+    loops stand in functions of their own: only so does the compiler prove them free of overlap and vectorise.
     """
     height, width = left.shape
     up[0, 0] = left[0]

@@ -50,7 +50,7 @@ def filled_amplitude(image: Image) -> F32:
 
 def _filled_amplitude(image: Image) -> F32:
     # Invalid pixels hold 0.
-    return image.amplitude + np.float32(mean_amplitude(image)) * ~image.mask
+    return np.asarray(image.amplitude + np.float32(mean_amplitude(image)) * ~image.mask, np.float32)
 
 
 def mean_amplitude(image: Image) -> float:
@@ -72,5 +72,5 @@ def _despeckled(image: Image, sigma: float) -> F32:
     import cv2
 
     side = 2 * round(2.5 * sigma) + 1
-    smooth: F32 = cv2.GaussianBlur(log_amplitude(image), (side, side), sigma, borderType=cv2.BORDER_REFLECT_101)
-    return smooth
+    smooth = cv2.GaussianBlur(log_amplitude(image), (side, side), sigma, borderType=cv2.BORDER_REFLECT_101)
+    return np.asarray(smooth, np.float32)

@@ -1,0 +1,132 @@
+"""How often a result is trusted that must not be, and how often one is refused that is right.
+
+    python benchmarks/trust.py [--pairs 200] [--methods a,b] [--features 5000] [--model affine] [--workers 2] [--seed 0]
+
+Unrelated pairs are crops of different places: every "ok" is wrong. Related pairs are crops of two dates of one place,
+the second warped by a known affine: "ok" with a model farther than 3 px from the truth is wrong, and a refused one is a
+loss. Real images come from the folder that FEATREG_DATA names, else the landscapes are simulated.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+from collections import Counter
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
+from typing import Any
+
+import numpy as np
+from measuring import machine, on_one_thread, random_affine, real_scenes, table, warped
+from numpy.typing import NDArray
+
+import featreg
+from featreg.evaluation import grid_rmse
+from featreg.simulate import sar_pair
+
+WRONG_PX = 3.0
+SMALLEST, LARGEST = 200, 600
+COLUMNS = ("method", "pairs", "count", "ok", "ok and wrong", "refused", "reasons of refusal")
+Scene = tuple[str, NDArray[Any], NDArray[Any]]
+
+
+def scenes(seed: int) -> tuple[str, list[Scene]]:
+    """What the pairs are cut from: (place, first date, second date)."""
+    real = [(place, first, second) for _, place, first, second in real_scenes()]
+    if real:
+        return "real images", real
+    made = [sar_pair((700, 700), looks=4, rotation_deg=0, scale=1, shift=(0, 0), seed=seed + i) for i in range(8)]
+    return "simulated images", [(f"landscape {i}", p.reference, p.secondary) for i, p in enumerate(made)]
+
+
+def crop(rng: np.random.Generator, shape: tuple[int, int], side: int) -> tuple[slice, slice]:
+    top, left = (int(rng.integers(0, max(1, n - side + 1))) for n in shape)
+    return slice(top, top + side), slice(left, left + side)
+
+
+def nodata(image: NDArray[Any]) -> float | None:
+    return None if image.dtype == np.uint8 else 0.0
+
+
+def unrelated(rng: np.random.Generator, found: Sequence[Scene]) -> tuple[NDArray[Any], NDArray[Any], None]:
+    while True:
+        (place, first, _), (other, _, second) = (found[i] for i in rng.integers(0, len(found), 2))
+        if place != other:
+            break
+    side = int(rng.integers(SMALLEST, LARGEST + 1))
+    a, b = first[crop(rng, first.shape, side)], second[crop(rng, second.shape, side)]
+    height, width = np.minimum(a.shape, b.shape)
+    return a[:height, :width], b[:height, :width], None
+
+
+def related(rng: np.random.Generator, found: Sequence[Scene]) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.float64]]:
+    _, first, second = found[int(rng.integers(len(found)))]
+    height, width = np.minimum(first.shape, second.shape)
+    cut = crop(rng, (int(height), int(width)), int(rng.integers(SMALLEST, LARGEST + 1)))
+    a, b = first[:height, :width][cut], second[:height, :width][cut]
+    truth = random_affine(rng, (a.shape[0], a.shape[1]), 20, 0.1, 10)
+    return a, warped(b, truth), truth
+
+
+def one(number: int, *, kind: str, method: str, features: int, model: str, seed: int) -> tuple[str, bool, str]:
+    """Register pair `number` of a kind: (status, whether the model is wrong, reason)."""
+    rng = np.random.default_rng([seed, number, kind == "related"])
+    make = related if kind == "related" else unrelated
+    reference, secondary, truth = make(rng, _found(seed))
+    try:
+        result = featreg.match(
+            reference, secondary, method=method, model=model, n_features=features, seed=0, nodata=nodata(reference)
+        )
+    except featreg.FeatregError as error:
+        return "unreliable", False, f"error: {error}"
+    if truth is None:
+        return result.status, result.status == "ok", result.reason
+    shape = (reference.shape[0], reference.shape[1])
+    wrong = not (result.model and grid_rmse(result.model, truth, shape) <= WRONG_PX)
+    return result.status, wrong and result.status == "ok", result.reason
+
+
+_kept: dict[int, list[Scene]] = {}
+
+
+def _found(seed: int) -> list[Scene]:
+    """The scenes, read once per process."""
+    if seed not in _kept:
+        _kept[seed] = scenes(seed)[1]
+    return _kept[seed]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--pairs", type=int, default=200, help="of each kind")
+    parser.add_argument("--methods", default="sar-orb")
+    parser.add_argument("--features", type=int, default=5000)
+    parser.add_argument("--model", default="affine")
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    rows: list[list[Any]] = []
+    wrong: list[str] = []
+    with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn")) as pool:
+        for method in given.methods.split(","):
+            for kind in ("unrelated", "related"):
+                task = partial(
+                    one, kind=kind, method=method, features=given.features, model=given.model, seed=given.seed
+                )
+                found = list(pool.map(task, range(given.pairs), chunksize=4))
+                ok = sum(status == "ok" for status, _, _ in found)
+                wrong += [f"{method}, {kind} pair {i}" for i, (_, bad, _) in enumerate(found) if bad]
+                # Numbers differ from pair to pair; the first word says which gate it was.
+                reasons = Counter(re.split(r" -?\d|:", r)[0] for s, _, r in found if s != "ok")
+                said = "; ".join(f"{count} {reason}" for reason, count in reasons.most_common(3)) or "-"
+                rows.append([method, kind, len(found), ok, sum(w for _, w, _ in found), len(found) - ok, said])
+    print(f"## Trust\n\n{machine()}; {scenes(given.seed)[0]}, {given.features} features, model {given.model}, ", end="")
+    print(f"seed {given.seed}\n\n{table(COLUMNS, rows)}\n")
+    print(f"Trusted and wrong: {'; '.join(wrong) or 'none'}\n")
+
+
+if __name__ == "__main__":
+    on_one_thread(pinned=False)
+    main()
