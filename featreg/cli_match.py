@@ -159,7 +159,7 @@ def summary(result: Registration, written: list[str]) -> str:
     if result.model:
         trust = "" if result.status == "ok" else " (not to be trusted)"
         lines.append(f"  model       {_describe(result)}{trust}")
-    putative = int((result.matches.origin < 0).sum())
+    putative = int(result.putative.sum())
     chain = [f"{putative} putative", *(f"{int(mask.sum())} after {name}" for name, mask in result.stages.items())]
     lines.append(f"  tie points  {int(result.inliers.sum())} final: {', '.join(chain)}")
     if result.model and result.inliers.any():

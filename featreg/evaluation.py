@@ -144,7 +144,7 @@ def stage_mask(registration: Registration, stage: str | None = None) -> BoolArra
     if name in registration.stages:
         return registration.stages[name]
     if name == "putative":
-        return np.asarray(registration.matches.origin < 0)
+        return registration.putative
     if name == "inliers":
         return registration.inliers
     known = ", ".join(["putative", *registration.stages, "inliers"])

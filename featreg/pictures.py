@@ -205,7 +205,7 @@ def _status(registration: Registration) -> list[Note]:
 
 def _counts(registration: Registration, groups: list[_Group]) -> list[Note]:
     notes = [Note(f"{group.rows.sum()} {group.name}", group.ink, dot=True) for group in groups[::-1]]
-    candidates = len(registration.matches)
+    candidates = int(registration.putative.sum())
     chain = [f"{candidates} candidates", *(f"{mask.sum()} after {name}" for name, mask in registration.stages.items())]
     return [*notes, Note(", ".join(chain), FAINT)]
 

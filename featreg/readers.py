@@ -154,13 +154,13 @@ def _gray(path: Path, colours: NDArray[Any], driver: str) -> NDArray[Any]:
     """The one band that three equal ones hold; of a JPEG, whose colours are not exact, the luminance of near-grays."""
     first = colours[0]
     if all(np.array_equal(first, other, equal_nan=first.dtype.kind in "fc") for other in colours[1:]):
-        return first
+        return np.asarray(first)
     if driver == "JPEG":
         tint = float((colours.max(axis=0).astype(np.int16) - colours.min(axis=0)).mean())
         if tint <= MOST_TINT:
             logger.warning("%s: three bands that differ by %.1f gray levels; their luminance is used", path, tint)
             luminance = np.tensordot(np.array([0.299, 0.587, 0.114]), colours.astype(np.float64), axes=1)
-            return np.rint(luminance).astype(first.dtype)
+            return np.asarray(np.rint(luminance), first.dtype)
     raise InputError(
         f"{path}: has 3 bands that differ (a colour image), one band is needed; extract one (gdal_translate -b 1)"
     )

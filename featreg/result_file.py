@@ -166,7 +166,7 @@ def _head(registration: Registration) -> dict[str, Any]:
         "model": None if isinstance(model, FailedFit) else plain(model),
         **({"model_failure": model.reason} if isinstance(model, FailedFit) else {}),
         "counts": {
-            "putative": int((registration.matches.origin < 0).sum()),
+            "putative": int(registration.putative.sum()),
             **{name: int(mask.sum()) for name, mask in registration.stages.items()},
             "inliers": int(registration.inliers.sum()),
         },

@@ -403,6 +403,12 @@ class Registration:
         if self.status == "unreliable" and not self.reason:
             raise InputError("an unreliable registration needs a reason")
 
+    @property
+    def putative(self) -> BoolArray:
+        """(M,) bool, True for the tie points of the matcher, False for those that refinement appended."""
+        mine = self.matches.origin < 0
+        return mine & ~self.stages["refine"] if "refine" in self.stages else mine
+
     def residuals(self) -> FloatArray:
         """(M,) distance in pixels of each tie point from the model; NaN where there is no model."""
         if not self.model:

@@ -1,0 +1,129 @@
+"""Dense local correlation against a direct one in numpy, and peaks at known sub-pixel shifts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from featreg.sar.correlation import local_correlations, peaks
+
+Texture = Callable[..., NDArray[np.float32]]
+F32 = NDArray[np.float32]
+
+
+def grid_points(shape: tuple[int, int], reach: int, n: int = 40, seed: int = 0) -> NDArray[np.int64]:
+    rng = np.random.default_rng(seed)
+    inner = [rng.integers(reach + 1, size - reach - 1, n) for size in shape[::-1]]
+    return np.column_stack(inner)
+
+
+def direct(a: F32, b: F32, x: int, y: int, dx: int, dy: int, half: int) -> float:
+    p = a[y - half : y + half + 1, x - half : x + half + 1].astype(np.float64)
+    q = b[y + dy - half : y + dy + half + 1, x + dx - half : x + dx + half + 1].astype(np.float64)
+    p, q = p - p.mean(), q - q.mean()
+    return float((p * q).sum() / np.sqrt((p**2).sum() * (q**2).sum()))
+
+
+def smooth(height: int, width: int, shift: tuple[float, float] = (0.0, 0.0), seed: int = 0) -> F32:
+    """A smooth periodic texture, moved by `shift` (x, y) pixels without interpolation error."""
+    from scipy.ndimage import fourier_shift, gaussian_filter
+
+    noise = np.random.default_rng(seed).normal(size=(height, width))
+    spectrum = np.fft.fft2(gaussian_filter(noise, 2.5, mode="wrap"))
+    moved = np.fft.ifft2(fourier_shift(spectrum, shift[::-1])).real
+    return np.asarray(moved / moved.std(), np.float32)
+
+
+@pytest.mark.parametrize(("half", "search"), [(4, 2), (12, 3), (24, 1)])
+@pytest.mark.parametrize("offset", [0.0, 30.0])
+def test_equals_the_direct_correlation(sar_texture: Texture, half: int, search: int, offset: float) -> None:
+    a = np.log(sar_texture(90, 130, seed=1) + 0.01) + np.float32(offset)
+    b = np.log(sar_texture(90, 130, seed=1, looks=6) + 0.01) - np.float32(offset)
+    xy = grid_points(a.shape, half + search)
+    found = local_correlations(a, b, xy, half, search)
+    assert found.shape == (len(xy), 2 * search + 1, 2 * search + 1)
+    shifts = range(-search, search + 1)
+    wanted = [[[direct(a, b, x, y, dx, dy, half) for dx in shifts] for dy in shifts] for x, y in xy.tolist()]
+    np.testing.assert_allclose(found, wanted, atol=2e-4)
+
+
+def test_many_rows_do_not_add_up_rounding_errors() -> None:
+    """Running sums down 3000 rows, with a bright band at the top."""
+    a = smooth(3000, 64)
+    a[:200] *= 100
+    xy = np.array([[32, 2900], [30, 2950]])
+    found = local_correlations(a, a, xy, 10, 2)
+    np.testing.assert_allclose(found[:, 2, 2], 1.0, atol=1e-3)
+
+
+def test_the_order_of_the_points_does_not_matter(sar_texture: Texture) -> None:
+    a, b = sar_texture(80, 80), sar_texture(80, 80, seed=1)
+    xy = grid_points(a.shape, 12)
+    order = np.random.default_rng(0).permutation(len(xy))
+    np.testing.assert_array_equal(
+        local_correlations(a, b, xy[order], 9, 2), local_correlations(a, b, xy, 9, 2)[order]
+    )  # fmt: skip
+
+
+def test_gain_and_offset_drop_out(sar_texture: Texture) -> None:
+    a, b = sar_texture(80, 80), sar_texture(80, 80, looks=9)
+    xy = grid_points(a.shape, 12)
+    np.testing.assert_allclose(
+        local_correlations(a, b, xy, 9, 2), local_correlations(a * 7 + 3, b * 0.5 - 2, xy, 9, 2), atol=1e-3
+    )
+
+
+@pytest.mark.parametrize("level", [0.0, -4.6, 3.7])
+def test_a_constant_window_correlates_with_nothing(sar_texture: Texture, level: float) -> None:
+    """Flat shadow beside texture: the whole image varies, the window does not."""
+    a, b = np.log(sar_texture(100, 120) + 0.1), np.log(sar_texture(100, 120, seed=1) + 0.1)
+    a[:, :60] = level
+    flat, lively = np.array([[25, 40], [30, 60]]), np.array([[95, 40]])
+    for one, other in ((a, b), (b, a), (a, a)):
+        np.testing.assert_array_equal(local_correlations(one, other, flat, 12, 2), 0)
+        assert np.abs(local_correlations(one, other, lively, 12, 2)).max() <= 1 + 1e-4
+
+
+def test_no_points_give_no_correlations(sar_texture: Texture) -> None:
+    found = local_correlations(sar_texture(80, 80), sar_texture(80, 80), np.zeros((0, 2), np.int64), 9, 2)
+    assert found.shape == (0, 5, 5)
+    assert peaks(found).shift.shape == (0, 2)
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.3, -0.4), (1.5, 0.25), (-1.2, 1.7)])
+def test_peaks_lie_at_the_shift_to_two_hundredths_of_a_pixel(shift: tuple[float, float]) -> None:
+    a, b = smooth(160, 160), smooth(160, 160, shift)
+    xy = grid_points(a.shape, 24)
+    found = peaks(local_correlations(a, b, xy, 20, 3))
+    assert found.sound.all()
+    assert found.height.min() > 0.9
+    np.testing.assert_allclose(found.shift, np.tile(shift, (len(xy), 1)), atol=0.02)
+
+
+def test_mirrored_maps_give_mirrored_shifts() -> None:
+    a, b = smooth(120, 130), smooth(120, 130, (0.6, -0.3))
+    xy = grid_points(a.shape, 20)
+    plain = peaks(local_correlations(a, b, xy, 15, 2))
+    there = np.column_stack([129 - xy[:, 0], xy[:, 1]])
+    mirrored = peaks(
+        local_correlations(np.ascontiguousarray(a[:, ::-1]), np.ascontiguousarray(b[:, ::-1]), there, 15, 2)
+    )
+    np.testing.assert_allclose(mirrored.shift, plain.shift * [-1, 1], atol=1e-3)
+
+
+def test_a_quadratic_is_met_exactly() -> None:
+    y, x = np.mgrid[-3:4, -3:4].astype(np.float64)
+    dx, dy = x - 0.8, y + 1.3
+    found = peaks((0.9 - 0.02 * dx**2 - 0.03 * dy**2 + 0.01 * dx * dy)[None])
+    np.testing.assert_allclose(found.shift, [[0.8, -1.3]], atol=1e-9)
+    np.testing.assert_allclose(found.curvature, [[[0.04, -0.01], [-0.01, 0.06]]], atol=1e-9)
+    assert found.sound.all()
+
+
+def test_a_peak_at_the_edge_of_the_search_or_a_ridge_is_not_sound() -> None:
+    y, x = np.mgrid[-3:4, -3:4].astype(np.float64)
+    edge, ridge, flat = 0.1 * x - 0.01 * y**2, 0.5 - 0.01 * (x - y) ** 2, np.zeros((7, 7))
+    assert not peaks(np.stack([edge, ridge, flat])).sound.any()
