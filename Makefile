@@ -32,7 +32,7 @@ bench: $(VENV)/.installed
 	$(BIN)/python benchmarks/import_time.py
 
 clean:
-	rm -rf $(VENV) build dist featreg.egg-info demo-out .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) build dist featreg.egg-info featreg-demo .pytest_cache .mypy_cache .ruff_cache
 	find featreg detectors descriptors matchers tests benchmarks -name __pycache__ -prune -exec rm -rf {} +
 
 $(BIN)/python:

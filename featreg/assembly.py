@@ -84,11 +84,12 @@ def assemble(
     slots = _slots(preset, method, keywords)
     steps = _filters(preset, keywords)
     common = keywords.pop("common_rotation", preset.common_rotation)
+    registry.check_type("common_rotation", common, True)
     refinement, limits = _route(keywords, slots, steps)
     for slot in slots.values():
         if "n_features" in slot.known:
             slot.parameters["n_features"] = budget
-    matcher = _matcher(slots, budget, bool(common))
+    matcher = _matcher(slots, budget, common)
     filters = tuple((step, slot.make()) for step, slot in steps.items())
     use = preset.refine if refine is None else refine
     chosen = registry.model_class(model or DEFAULT_MODEL) if not isinstance(model, type) else model
@@ -179,6 +180,9 @@ def _route(
             names = everything if part else [*own, *ROLES, "filters", *(e.split(".")[1] for e in everything)]
             raise ParameterError(f"no part of this method has a parameter '{key}', {suggest(key, set(names))}")
         takers[owners[0]][0][short] = value
+    for owner, given, cls in (("refine", refinement, Refine), ("trust", trust, Limits)):
+        for name, value in given.items():
+            registry.check_type(f"{owner}.{name}", value, getattr(cls, name))
     return refinement, Limits(**trust)
 
 

@@ -23,7 +23,6 @@ from featreg.cli_options import (
     announce_compiling,
     check_folder,
     check_name,
-    check_types,
     counter,
     parse_settings,
     whole_number,
@@ -101,7 +100,6 @@ def compare(
     from featreg.io import as_image
 
     for name in names:
-        check_types(name, keywords)
         assemble(name, model=model, refine=refine, n_features=n_features, **keywords)
     for path in dict.fromkeys(images):
         as_image(path, nodata=nodata, scale=scale)

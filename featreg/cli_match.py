@@ -18,7 +18,6 @@ from featreg.cli_options import (
     announce_compiling,
     check_name,
     check_output,
-    check_types,
     distance,
     limited_threads,
     parse_settings,
@@ -110,7 +109,6 @@ def match(
 
         if initial is not None:
             search_radius = RADIUS if search_radius is None else search_radius
-        check_types(method, keywords)
         announce_compiling()
         progress(f"registering '{secondary}' to '{reference}'")
         result = register(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
@@ -30,13 +30,6 @@ OWN_OPTIONS = {
     "secondary_mask": "--mask-secondary",
 }
 WORDS = {"true": True, "false": False, "none": None, "inf": float("inf"), "-inf": float("-inf"), "nan": float("nan")}
-#: What values of parameters are, the narrower first: a bool is an int in Python.
-TYPES: Sequence[tuple[type, str]] = (
-    (bool, "true or false"),
-    (int, "a whole number"),
-    (float, "a number"),
-    (str, "a word"),
-)
 #: Read by the numeric libraries when they are first imported.
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
@@ -171,37 +164,6 @@ def parse_value(text: str) -> Any:
         except ValueError:
             continue
     return text
-
-
-def check_types(method: str, settings: Mapping[str, Any]) -> None:
-    """Raise where a setting is of another type than the default it replaces; unknown keys are left to the pipeline.
-
-    Raises
-    ------
-    ParameterError
-        Text where a number belongs, a fraction where a whole number does, ...
-    """
-    from featreg.assembly import ROLES, assemble
-
-    parts = {key: value for key, value in settings.items() if key in (*ROLES, "filters")}
-    # With refinement on, its parameters are among those recorded.
-    for role, own in assemble(method, refine=True, **parts).parameters.items():
-        owner = "refine" if role == "refinement" else role
-        defaults = (
-            {f"{owner}.{name}": value for name, value in own.items()} if isinstance(own, Mapping) else {role: own}
-        )
-        for name, default in defaults.items():
-            for key in (name, name.rpartition(".")[2]):
-                if key in settings and key not in parts:
-                    _check_type(key, settings[key], default)
-
-
-def _check_type(key: str, value: Any, default: Any) -> None:
-    wanted = next((words for kinds, words in TYPES if isinstance(default, kinds)), None)
-    given = next((words for kinds, words in TYPES if isinstance(value, kinds)), None)
-    if wanted is None or given == wanted or (wanted, given) == ("a number", "a whole number"):
-        return
-    raise ParameterError(f"'{key}' must be {wanted} (its default is {default}), got '{value}'")
 
 
 def check_output(path: str | None, what: str, *, suffixes: Sequence[str] = (), inputs: Iterable[str] = ()) -> None:

@@ -18,6 +18,8 @@ from functools import partial
 from importlib.metadata import entry_points
 from typing import Any, Literal, TypeVar, overload
 
+import numpy as np
+
 from featreg.errors import ParameterError, PluginError, PluginUnavailableError, UnknownNameError, suggest
 from featreg.interfaces import Descriptor, Detector, Filter, Matcher, Model, Nearest
 
@@ -32,6 +34,14 @@ KINDS: Mapping[str, type[Any]] = {
 }
 ROOMS = ("featreg.detectors", "featreg.descriptors", "featreg.matchers")
 CORE = ("featreg.geometry",)
+
+# What values of parameters are, the narrower first: a bool is an int in Python.
+TYPES: tuple[tuple[tuple[type, ...], str], ...] = (
+    ((bool, np.bool_), "true or false"),
+    ((int, np.integer), "a whole number"),
+    ((float, np.floating), "a number"),
+    ((str,), "a word"),
+)
 
 logger = logging.getLogger(__name__)
 T = TypeVar("T")
@@ -153,10 +163,20 @@ def create(kind: str, name: str, **parameters: Any) -> Any:
     found = entry(kind, name)
     if found.unavailable:
         raise PluginUnavailableError(f"{kind} '{name}' cannot be used here: {found.unavailable}")
-    for key in parameters:
+    for key, value in parameters.items():
         if key not in found.parameters:
             raise ParameterError(f"{kind} '{name}' has no parameter '{key}', {suggest(key, found.parameters)}")
+        check_type(f"{name}.{key}", value, found.parameters[key])
     return found.factory(**parameters)
+
+
+def check_type(name: str, value: Any, default: Any) -> None:
+    """Raise a `ParameterError` where a value is of another type than the default it replaces (None takes any)."""
+    wanted = next((words for kinds, words in TYPES if isinstance(default, kinds)), None)
+    given = next((words for kinds, words in TYPES if isinstance(value, kinds)), None)
+    if wanted is None or given == wanted or (wanted, given) == ("a number", "a whole number"):
+        return
+    raise ParameterError(f"'{name}' must be {wanted} (its default is {default!r}), got {value!r}")
 
 
 def model_class(name: str) -> type[Model]:

@@ -240,7 +240,7 @@ MISUSE: dict[str, tuple[list[str], list[str]]] = {
     "no equals sign": (["match", "ref.tif", "sec.tif", "--set", "levels"], ["KEY=VALUE", "'levels'"]),
     "twice": (["match", "ref.tif", "sec.tif", "--set", "alpha=2", "--set", "alpha=3"], ["alpha", "twice"]),
     "word for number": (["match", "ref.tif", "sec.tif", "--set", "fsc.threshold=wide"], ["a number", "3.0", "'wide'"]),
-    "fraction": (["match", "ref.tif", "sec.tif", "--set", "gms.grid=2.5"], ["a whole number", "20", "'2.5'"]),
+    "fraction": (["match", "ref.tif", "sec.tif", "--set", "gms.grid=2.5"], ["a whole number", "20", "got 2.5"]),
     "bool": (["match", "ref.tif", "sec.tif", "--set", "gms.rotation=maybe"], ["true or false", "'maybe'"]),
     "trust": (["match", "ref.tif", "sec.tif", "--set", "trust.scale=x"], ["a number", "'x'"]),
     "refine": (["match", "ref.tif", "sec.tif", "--no-refine", "--set", "half=x"], ["a whole number", "'x'"]),

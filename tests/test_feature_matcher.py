@@ -1,0 +1,127 @@
+"""FeatureMatcher: detect, describe, pair, and one common rotation where there is one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from featreg import registry
+from featreg.errors import ParameterError
+from featreg.feature_matcher import FeatureMatcher, common_rotation
+from featreg.interfaces import Detector
+from featreg.io import as_image
+from featreg.simulate import SimulatedPair
+from featreg.types import Features, Image, Matches
+
+Texture = Callable[..., NDArray[np.float32]]
+
+
+def matcher(n_features: int = 2000, common: bool = True, **parameters: Any) -> FeatureMatcher:
+    return FeatureMatcher(
+        registry.create("detector", "sar-ofast", n_features=n_features),
+        registry.create("descriptor", "brief"),
+        registry.create("nearest", "brute-force", **parameters),
+        n_features,
+        common_rotation=common,
+    )
+
+
+def correct(matches: Matches, truth: NDArray[np.float64]) -> NDArray[np.bool_]:
+    mapped = matches.reference_xy @ truth[:, :2].T + truth[:, 2]
+    return np.asarray(np.hypot(*(mapped - matches.secondary_xy).T) < 1.5)
+
+
+@dataclass(frozen=True)
+class Fixed(Detector):
+    """The same points in every image."""
+
+    found: Features
+
+    def detect_features(self, image: Image) -> Features:
+        return self.found
+
+
+def test_a_common_rotation_gives_more_correct_matches_and_is_the_true_one(turned_pair: SimulatedPair) -> None:
+    images = as_image(turned_pair.reference), as_image(turned_pair.secondary)
+    alone, together = (matcher(common=c).match(*images) for c in (False, True))
+    good = [int(correct(m, turned_pair.truth).sum()) for m in (alone, together)]
+    assert good[1] > 1.3 * good[0]
+    assert together.rotation is not None
+    np.testing.assert_allclose(np.degrees(together.rotation), 30.0, atol=3.0)
+
+
+@pytest.mark.parametrize("quarter", [1, 2, 3])
+def test_quarter_turns_are_found(sar_texture: Texture, quarter: int) -> None:
+    amplitude = sar_texture(220, 220)
+    found = matcher().match(as_image(amplitude), as_image(np.rot90(amplitude, quarter)))
+    assert found.rotation is not None
+    off = (np.degrees(found.rotation) - 90 * quarter + 180) % 360 - 180
+    np.testing.assert_allclose(off, 0, atol=3.0)
+    assert len(found) > 200
+
+
+@pytest.mark.parametrize("angle", [0.0, 1.0, np.pi, -np.pi + 1e-3, 3.0])
+def test_angles_that_agree_give_their_angle(angle: float) -> None:
+    rng = np.random.default_rng(0)
+    noisy = np.concatenate([angle + rng.normal(0, 0.1, 200), rng.uniform(-10, 10, 600)])
+    found = common_rotation(rng.permutation(noisy))
+    assert found is not None
+    assert abs((found - angle + np.pi) % (2 * np.pi) - np.pi) < 0.05
+
+
+@pytest.mark.parametrize("count", [0, 1, 3, 10, 100, 2000])
+def test_random_angles_give_none(count: int) -> None:
+    answers = [common_rotation(np.random.default_rng(s).uniform(-np.pi, np.pi, count)) for s in range(50)]
+    assert answers.count(None) >= 49
+
+
+def test_unrelated_images_each_keep_their_own_angles(sar_texture: Texture) -> None:
+    found = matcher().match(as_image(sar_texture(seed=1)), as_image(sar_texture(seed=2)))
+    assert found.rotation is not None
+    assert np.unique(np.round(found.rotation, 3)).size > 10
+
+
+def test_the_budget_holds_for_each_image(sar_texture: Texture) -> None:
+    """Also where the detector itself knows no budget."""
+    rng = np.random.default_rng(0)
+    score = rng.uniform(size=300)
+    everywhere = Features(rng.uniform(30, 170, (300, 2)), np.full(300, 20.0), np.zeros(300), score, np.zeros(300, np.int64))
+    made = replace(matcher(50, mutual=False), detector=Fixed(everywhere))
+    found = made.match(as_image(sar_texture()), as_image(sar_texture()))
+    assert 0 < len(found) <= 50
+    best = everywhere.xy[np.argsort(-score)[:50]]
+    assert {tuple(p) for p in found.reference_xy} <= {tuple(p) for p in best}
+
+
+def test_identical_images_match_point_by_point(sar_texture: Texture) -> None:
+    image = as_image(sar_texture())
+    found = matcher().match(image, image)
+    np.testing.assert_array_equal(found.reference_xy, found.secondary_xy)
+    np.testing.assert_allclose(found.score, 1.0)
+    assert found.scale_ratio is not None
+    np.testing.assert_allclose(found.scale_ratio, 1.0)
+
+
+def test_no_features_give_no_matches(sar_texture: Texture) -> None:
+    flat = Image(np.ones((100, 100), np.float32), np.ones((100, 100), np.bool_))
+    for pair in ((flat, as_image(sar_texture())), (as_image(sar_texture()), flat), (flat, flat)):
+        assert len(matcher().match(*pair)) == 0
+
+
+def test_a_detector_without_descriptors_needs_a_descriptor(sar_texture: Texture) -> None:
+    made = replace(matcher(), descriptor=None)
+    with pytest.raises(ParameterError, match="descriptor"):
+        made.match(as_image(sar_texture()), as_image(sar_texture(seed=1)))
+
+
+def test_descriptors_that_come_with_the_points_are_kept(sar_texture: Texture) -> None:
+    made = FeatureMatcher(registry.create("detector", "orb"), None, registry.create("nearest", "brute-force"))
+    image = as_image(sar_texture())
+    found = made.match(image, image)
+    assert len(found) > 50
+    np.testing.assert_array_equal(found.reference_xy, found.secondary_xy)

@@ -1,0 +1,203 @@
+"""Trust: every gate by itself, what no image pair may pass, and what must pass."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import featreg
+from featreg.geometry import Affine, Homography, Translation
+from featreg.interfaces import FailedFit, Model
+from featreg.simulate import SimulatedPair, sar_pair
+from featreg.trust import Limits, assess, distinct, spread
+from featreg.types import BoolArray, FloatArray, Gate, Matches
+
+Texture = Callable[..., NDArray[np.float32]]
+SHAPE = (600, 500)
+MATRIX = np.array([[1.02, 0.05, 7.0], [-0.05, 1.01, -4.0]])
+
+
+def tie_points(good: int = 300, bad: int = 300, noise: float = 0.3, matrix: Any = MATRIX) -> tuple[Matches, BoolArray]:
+    rng = np.random.default_rng(0)
+    here = rng.uniform(0, 1, (good + bad, 2)) * (SHAPE[1], SHAPE[0])
+    there = here @ np.asarray(matrix)[:, :2].T + np.asarray(matrix)[:, 2] + rng.normal(0, noise, here.shape)
+    there[good:] = rng.uniform(0, 1, (bad, 2)) * (SHAPE[1], SHAPE[0])
+    return Matches(here, there, np.ones(good + bad)), np.arange(good + bad) < good
+
+
+def judge(
+    matches: Matches, inliers: BoolArray, limits: Limits | None = None, **more: Any
+) -> tuple[str, str, Mapping[str, Gate]]:
+    model: Model | FailedFit = more.pop("model", None) or Affine.from_estimate(
+        matches.reference_xy[inliers], matches.secondary_xy[inliers]
+    )
+    every = np.ones(len(matches), np.bool_)
+    return assess(matches, every, inliers, inliers, model, SHAPE, SHAPE, limits or Limits(), **more)
+
+
+def test_good_tie_points_pass_every_gate() -> None:
+    status, reason, gates = judge(*tie_points())
+    assert (status, reason) == ("ok", "")
+    assert gates
+    assert all(g.passed and g.value is not None and g.meaning for g in gates.values())
+
+
+@pytest.mark.parametrize(
+    ("gate", "limits"),
+    [
+        ("inliers", {"least_inliers": 10**6}),
+        ("spread", {"least_spread": 1.1}),
+        ("significance", {"significance": -1e9}),
+        ("held_out", {"held_out_px": 1e-6}),
+        ("uncertainty", {"uncertainty_px": 1e-6}),
+        ("scale", {"scale": 1.0001}),
+        ("anisotropy", {"anisotropy": 1.0}),
+    ],
+)
+def test_each_gate_that_fails_alone_is_named(gate: str, limits: dict[str, Any]) -> None:
+    status, reason, gates = judge(*tie_points(), Limits(**limits))
+    assert status == "unreliable"
+    assert [name for name, g in gates.items() if not g.passed] == [gate]
+    assert reason.startswith(gate)
+    assert gates[gate].meaning in reason
+    assert ";" not in reason
+
+
+def test_every_failing_gate_is_named() -> None:
+    _, reason, gates = judge(*tie_points(), Limits(least_inliers=10**6, anisotropy=1.0))
+    assert {n for n, g in gates.items() if not g.passed} == {"inliers", "anisotropy"}
+    assert "inliers" in reason
+    assert "anisotropy" in reason
+
+
+def test_a_model_far_from_the_prior_is_unreliable() -> None:
+    points = tie_points()
+    assert judge(*points, initial=Affine(MATRIX), search_radius=5.0)[0] == "ok"
+    status, reason, gates = judge(*points, initial=Translation(60.0, 0.0), search_radius=5.0)
+    assert status == "unreliable"
+    assert reason.startswith("prior")
+    assert [name for name, g in gates.items() if not g.passed] == ["prior"]
+
+
+def test_a_failed_fit_is_unreliable_with_its_reason() -> None:
+    matches, good = tie_points()
+    status, reason, gates = judge(matches, good, model=FailedFit("the points lie on a line"))
+    assert status == "unreliable"
+    assert "the points lie on a line" in reason
+    assert not gates
+
+
+def test_tie_points_of_one_spot_are_not_spread() -> None:
+    rng = np.random.default_rng(0)
+    here = 300 + rng.normal(0, 12, (200, 2))
+    matches = Matches(here, here @ MATRIX[:, :2].T + MATRIX[:, 2] + rng.normal(0, 0.3, here.shape), np.ones(200))
+    status, _, gates = judge(matches, np.ones(200, np.bool_), Limits(least_spread=0.2))
+    assert status == "unreliable"
+    assert not gates["spread"].passed
+
+
+def test_a_few_agreeing_among_many_random_matches_are_chance() -> None:
+    matches, good = tie_points(good=9, bad=5000, noise=2.0)
+    status, reason, gates = judge(matches, good)
+    assert status == "unreliable"
+    assert not gates["significance"].passed
+    assert "chance" in reason
+
+
+def test_copies_of_one_tie_point_count_once() -> None:
+    here = np.repeat([[100.0, 100.0], [300.0, 200.0]], 50, axis=0)
+    assert distinct(here, here) == 2
+    assert distinct(here, np.arange(200.0).reshape(100, 2) * 50) == 2
+
+
+def test_a_mirror_image_is_unreliable_and_says_so() -> None:
+    matches, good = tie_points(matrix=[[-1.0, 0, 499.0], [0, 1.0, 0]])
+    status, reason, gates = judge(matches, good)
+    assert status == "unreliable"
+    assert "mirror" in reason
+    assert [name for name, g in gates.items() if not g.passed] == ["scale"]
+
+
+def test_spread_counts_the_cells_that_are_hit() -> None:
+    centres = (np.stack(np.meshgrid(np.arange(8), np.arange(8)), -1).reshape(-1, 2) + 0.5) / 8 * (SHAPE[1], SHAPE[0])
+    assert spread(centres, SHAPE) == 1.0
+    assert spread(centres[:16], SHAPE) == 0.25
+    assert spread(np.zeros((0, 2)), SHAPE) == 0.0
+    assert spread(np.array([[-50.0, 5], [1e6, 5]]), SHAPE) == 0.0
+
+
+def test_no_inliers_are_unreliable() -> None:
+    matches, good = tie_points()
+    status, reason, _ = judge(matches, np.zeros_like(good), model=Affine(MATRIX))
+    assert status == "unreliable"
+    assert reason
+
+
+def test_values_that_cannot_be_told_fail_their_gate() -> None:
+    matches, _ = tie_points()
+    few = np.arange(len(matches)) < 4
+    _, _, gates = judge(matches, few, model=Homography(np.eye(3)))
+    assert gates["held_out"].value is None
+    assert not gates["held_out"].passed
+    assert all(g.value is None or math.isfinite(g.value) for g in gates.values())
+
+
+# Whole registrations
+
+
+def corner_error(model: Any, truth: FloatArray, size: int) -> float:
+    corners = np.array([[0.0, 0], [size - 1, 0], [0, size - 1], [size - 1, size - 1]])
+    return float(np.abs(model(corners) - corners @ truth[:, :2].T - truth[:, 2]).max())
+
+
+@pytest.mark.parametrize("method", ["sar-orb", "orb"])
+@pytest.mark.parametrize("seed", range(5))
+def test_unrelated_images_are_unreliable_with_a_reason(method: str, seed: int) -> None:
+    one, other = sar_pair((256, 256), seed=10 + seed), sar_pair((256, 256), seed=20 + seed)
+    found = featreg.match(one.reference, other.secondary, method=method)
+    assert found.status == "unreliable"
+    assert found.reason
+
+
+@pytest.mark.slow
+def test_none_of_two_hundred_unrelated_crops_is_trusted() -> None:
+    rng = np.random.default_rng(0)
+    scenes = [sar_pair((500, 500), seed=100 + i).reference for i in range(6)]
+    trusted = []
+    for _ in range(200):
+        i, j = rng.choice(6, 2, replace=False)
+        size = int(rng.integers(100, 400))
+        crops = []
+        for k in (i, j):
+            y, x = rng.integers(0, 500 - size, 2)
+            crops.append(scenes[k][y : y + size, x : x + size])
+        found = featreg.match(*crops)
+        assert found.status == "ok" or found.reason
+        trusted.append(found.status == "ok")
+    assert sum(trusted) == 0
+
+
+def test_an_image_and_itself_are_ok(sar_texture: Texture) -> None:
+    amplitude = sar_texture(256, 256)
+    found = featreg.match(amplitude, amplitude.copy())
+    assert found.status == "ok"
+    assert corner_error(found.model, np.eye(3)[:2], 256) < 0.02
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("method", ["sar-orb", "sift"])
+def test_a_mirrored_secondary_is_unreliable(pair: SimulatedPair, method: str, axis: int) -> None:
+    assert featreg.match(pair.reference, np.flip(pair.secondary, axis), method=method).status == "unreliable"
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_pair_of_one_scene_is_ok_and_right(seed: int) -> None:
+    made = sar_pair((300, 300), seed=30 + seed, rotation_deg=[-12.0, 4.0, 18.0][seed], scale=[0.95, 1.0, 1.06][seed])
+    found = featreg.match(made.reference, made.secondary)
+    assert found.status == "ok", found.reason
+    assert corner_error(found.model, made.truth, 300) < 0.5
