@@ -6,19 +6,31 @@ No fastmath where results are summed: sums keep their order, and equal input giv
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import numba
 
+logger = logging.getLogger(__name__)
 F = TypeVar("F", bound=Callable[..., Any])
 
 
 def compiled(function: F) -> F:
     """Compile `function` for the argument types of each call; cached on disk, releases the GIL."""
-    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+    return _jit(function, "never")
 
 
 def inlined(function: F) -> F:
     """Compile a small helper into the kernels that call it."""
-    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")(function))
+    return _jit(function, "always")
+
+
+def _jit(function: F, inline: str) -> F:
+    options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "inline": inline}
+    try:
+        return cast(F, numba.njit(cache=True, **options)(function))
+    except RuntimeError as error:
+        # No folder of this installation or of the user can be written: compile anew in every process.
+        logger.info("%s is not cached: %s", function.__name__, error)
+        return cast(F, numba.njit(**options)(function))

@@ -33,9 +33,8 @@ def tie_points(good: int = 300, bad: int = 300, noise: float = 0.3, matrix: Any 
 def judge(
     matches: Matches, inliers: BoolArray, limits: Limits | None = None, **more: Any
 ) -> tuple[str, str, Mapping[str, Gate]]:
-    model: Model | FailedFit = more.pop("model", None) or Affine.from_estimate(
-        matches.reference_xy[inliers], matches.secondary_xy[inliers]
-    )
+    fitted = Affine.from_estimate(matches.reference_xy[inliers], matches.secondary_xy[inliers])
+    model: Model | FailedFit = more.pop("model", fitted)
     every = np.ones(len(matches), np.bool_)
     return assess(matches, every, inliers, inliers, model, SHAPE, SHAPE, limits or Limits(), **more)
 
