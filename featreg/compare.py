@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-import hashlib
-import inspect
-import io
-import json
-import math
 import platform
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,110 +17,12 @@ import numpy as np
 from featreg._version import __version__
 from featreg.errors import CancelledError, InputError, ParameterError
 from featreg.evaluation import computing_time, default_stage, evaluate, stage_mask
-from featreg.interfaces import FailedFit, Model
-from featreg.registry import KINDS
-from featreg.result_file import plain, read_registration, write_atomic, write_registration
+from featreg.interfaces import FailedFit
+from featreg.prediction_cache import PredictionCache
+from featreg.result_file import plain
+from featreg.table import COLUMNS, Table
 from featreg.truth import Truth, read_truth
 from featreg.types import Image, Registration
-
-NUMBERS = ("nm", "ncm", "precision", "rmse", "grid_rmse", "inliers", "rotation_deg", "time_s")
-COLUMNS = ("pair", "method", "status", *NUMBERS, "reason")
-COUNTS = ("nm", "ncm", "inliers")
-#: What is best in a column, for the bold print; NM and rotation have no better and worse.
-HIGHEST, LOWEST = ("ncm", "precision", "inliers"), ("rmse", "grid_rmse", "time_s")
-
-
-@dataclass(frozen=True, eq=False)
-class Table:
-    """One row for each pair and method, the protocol under which they were made, and how to print them.
-
-    Parameters
-    ----------
-    rows : dicts with the keys `COLUMNS`; a value that does not exist is None
-    protocol : lines that say how the numbers came about
-    """
-
-    rows: Sequence[Mapping[str, Any]]
-    protocol: Sequence[str] = field(default=())
-
-    @property
-    def failed(self) -> int:
-        """Number of rows in which a method raised an error."""
-        return sum(row["status"] == "failed" for row in self.rows)
-
-    def summary(self) -> list[dict[str, Any]]:
-        """Median and mean of each method where there are several pairs, else nothing.
-
-        In a median a missing model counts as infinitely wrong, so that a method cannot win by giving up; a mean is
-        over the rows that have the value.
-        """
-        if len({row["pair"] for row in self.rows}) < 2:
-            return []
-        found = []
-        for statistic, reduce in (("median", np.median), ("mean", np.mean)):
-            for method in dict.fromkeys(row["method"] for row in self.rows):
-                rows = [row for row in self.rows if row["method"] == method]
-                good = sum(row["status"] == "ok" for row in rows)
-                made: dict[str, Any] = {"pair": statistic, "method": method, "status": f"{good}/{len(rows)} ok"}
-                for name in NUMBERS:
-                    worst = math.inf if (statistic, name) == ("median", "grid_rmse") else None
-                    values = [
-                        worst if row[name] is None and row["precision"] is not None else row[name] for row in rows
-                    ]
-                    there = [v for v in values if v is not None]
-                    made[name] = float(reduce(there)) if there else None
-                found.append(made | {"reason": ""})
-        return found
-
-    def to_markdown(self, path: str | Path | None = None) -> str:
-        """Return (and write, where a path is given) the table, the summary and the protocol as Markdown."""
-        columns, lines = self._columns(), []
-        for row in (dict(zip(columns, columns, strict=True)), None, *self.rows, *self.summary()):
-            cells = ["---"] * len(columns) if row is None else [_text(row, name) for name in columns]
-            lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
-        return _emit("\n".join([*lines, "", *(f"- {line}" for line in self.protocol)]) + "\n", path)
-
-    def to_csv(self, path: str | Path | None = None) -> str:
-        """Return (and write) the rows as CSV, numbers in full, without summary and protocol."""
-        out = io.StringIO()
-        writer = csv.DictWriter(out, COLUMNS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(self.rows)
-        return _emit(out.getvalue(), path)
-
-    def to_latex(self, path: str | Path | None = None) -> str:
-        """Return (and write) a LaTeX tabular, the best value of each pair in bold, the protocol underneath."""
-        columns, summary = self._columns(), self.summary()
-        lines = [rf"\begin{{tabular}}{{{''.join('r' if c in NUMBERS else 'l' for c in columns)}}}", r"\hline"]
-        lines += [" & ".join(_escape(c) for c in columns) + r" \\", r"\hline"]
-        for part in (list(self.rows), summary):
-            for row in part:
-                rivals = [other for other in part if other["pair"] == row["pair"]]
-                cells = (_escape(_text(row, name)) for name in columns)
-                best = (_is_best(row, name, rivals) for name in columns)
-                lines.append(
-                    " & ".join(rf"\textbf{{{c}}}" if b else c for c, b in zip(cells, best, strict=True)) + r" \\"
-                )
-            lines += [r"\hline"] if part else []
-        lines += [r"\end{tabular}", *(rf"\par{{\footnotesize {_escape(line)}}}" for line in self.protocol)]
-        return _emit("\n".join(lines) + "\n", path)
-
-    def to_json(self, path: str | Path | None = None) -> str:
-        """Return (and write) one JSON object: rows, summary, protocol, failed."""
-        whole = {"rows": self.rows, "summary": self.summary(), "protocol": self.protocol, "failed": self.failed}
-        return _emit(json.dumps(plain(whole), indent=2, ensure_ascii=False) + "\n", path)
-
-    def to_dataframe(self) -> Any:
-        """Return the rows as a `pandas.DataFrame`."""
-        import pandas as pd
-
-        return pd.DataFrame(list(self.rows), columns=list(COLUMNS))
-
-    def __str__(self) -> str:
-        return self.to_markdown()
-
-    def _columns(self) -> list[str]:
-        return [c for c in COLUMNS if c != "reason" or any(row["reason"] for row in self.rows)]
 
 
 def compare(
@@ -183,8 +79,9 @@ def compare(
     named = _pairs(pairs)
     entries = _methods(methods, {"seed": seed, **overrides})
     jobs = [(i, label) for i in range(len(named)) for label in entries]
-    store = _Cache(None if cache is None else Path(cache))
-    keys = {(i, label): store.key(named[i], entries[label]) for i, label in jobs}
+    store = PredictionCache(None if cache is None else Path(cache))
+    images = [(pair.reference, pair.secondary) for pair in named]
+    keys = {(i, label): store.key(named[i].name, images[i], entries[label]) for i, label in jobs}
     results: dict[tuple[int, str], Registration | str] = {}
     seconds: dict[tuple[int, str], float] = {}
     for job in jobs:
@@ -332,80 +229,6 @@ def _one_thread() -> Iterator[None]:
         cv2.setNumThreads(before)
 
 
-class _Cache:
-    """Results in a folder, each under the digest of everything that went into it."""
-
-    def __init__(self, folder: Path | None) -> None:
-        self.folder = folder
-        self.images: dict[str, bytes] = {}
-
-    def key(self, pair: _Pair, keywords: Mapping[str, Any]) -> str | None:
-        """The digest, or None where something has no certain one: such a result is not kept."""
-        if self.folder is None:
-            return None
-        try:
-            if pair.name not in self.images:
-                self.images[pair.name] = _digest([pair.reference, pair.secondary])
-            return _digest([f"featreg {__version__}", self.images[pair.name], keywords]).hex()
-        except (TypeError, ValueError, AttributeError, OSError, RecursionError):
-            return None
-
-    def read(self, key: str | None) -> tuple[Registration | None, float | None]:
-        if self.folder is None or key is None or not (self.folder / f"{key}.json").is_file():
-            return None, None
-        try:
-            kept = read_registration(self.folder / f"{key}.json")
-        except InputError:
-            return None, None
-        provenance = dict(kept.provenance)
-        mark = provenance.pop("comparison", None)
-        if not isinstance(mark, dict) or mark.get("key") != key:
-            return None, None
-        return dataclasses.replace(kept, provenance=provenance), mark.get("seconds")
-
-    def write(self, key: str | None, result: Registration | str, seconds: float | None) -> None:
-        if self.folder is None or key is None or isinstance(result, str):
-            return
-        self.folder.mkdir(parents=True, exist_ok=True)
-        provenance = {**result.provenance, "comparison": {"key": key, "seconds": seconds}}
-        write_registration(dataclasses.replace(result, provenance=provenance), self.folder / f"{key}.json")
-
-
-def _digest(value: Any) -> bytes:
-    digest = hashlib.sha256()
-    _feed(digest.update, value)
-    return digest.digest()
-
-
-def _feed(update: Callable[[bytes], None], value: Any) -> None:
-    """Feed the content of `value` to a digest; TypeError where the content cannot be known for certain."""
-    update(f"<{type(value).__module__}.{type(value).__qualname__}>".encode())
-    if isinstance(value, str | Path) and Path(value).is_file():
-        with open(value, "rb") as file:
-            update(Path(value).suffix.encode() + hashlib.file_digest(file, "sha256").digest())
-    elif value is None or isinstance(value, bool | int | float | complex | str | bytes | Path | np.generic):
-        update(repr(value).encode())
-    elif isinstance(value, np.ndarray) and not value.dtype.hasobject:
-        update(f"{value.dtype.str}{value.shape}".encode() + np.ascontiguousarray(value).tobytes())
-    elif isinstance(value, list | tuple):
-        update(str(len(value)).encode())
-        for part in value:
-            _feed(update, part)
-    elif isinstance(value, Mapping):
-        _feed(update, [[str(k), value[k]] for k in sorted(value, key=str)])
-    elif isinstance(value, Model):
-        _feed(update, dict(value.parameters))
-    elif dataclasses.is_dataclass(value) and not isinstance(value, type):
-        _feed(update, {f.name: getattr(value, f.name) for f in dataclasses.fields(value) if f.init})
-    elif isinstance(value, tuple(KINDS.values())):
-        # A plugin is its class and its parameters, which it keeps under their own names.
-        _feed(update, {name: getattr(value, name) for name in inspect.signature(type(value)).parameters})
-    elif (isinstance(value, type) or inspect.isfunction(value)) and "<" not in value.__qualname__:
-        update(f"{value.__module__}.{value.__qualname__}".encode())
-    else:
-        raise TypeError(f"{type(value)} has no digest")
-
-
 def _row(pair: _Pair, label: str, result: Registration | str, time_s: float | None, threshold: float) -> dict[str, Any]:
     row: dict[str, Any] = dict.fromkeys(COLUMNS) | {"pair": pair.name, "method": label, "reason": ""}
     if isinstance(result, str):
@@ -455,34 +278,3 @@ def _protocol(
     versions = {"featreg": __version__, "OpenCV": cv2.__version__, "numpy": np.__version__}
     lines.append(", ".join(f"{k} {v}" for k, v in (versions | {"Python": platform.python_version()}).items()))
     return lines
-
-
-def _text(row: Mapping[str, Any], name: str) -> str:
-    value = row[name]
-    if value is None:
-        return ""
-    if not isinstance(value, float):
-        return str(value)
-    return f"{value:g}" if name in COUNTS else f"{value:.3f}"
-
-
-def _is_best(row: Mapping[str, Any], name: str, rivals: Sequence[Mapping[str, Any]]) -> bool:
-    if name not in HIGHEST + LOWEST:
-        return False
-    values = [other[name] for other in rivals if other["status"] != "failed" and other[name] is not None]
-    best = max if name in HIGHEST else min
-    return len(values) > 1 and row["status"] != "failed" and bool(row[name] == best(values))
-
-
-def _escape(text: str) -> str:
-    for plain_text, latex in (("\\", r"\textbackslash "), ("{", r"\{"), ("}", r"\}")):
-        text = text.replace(plain_text, latex)
-    for sign in "&%$#_":
-        text = text.replace(sign, f"\\{sign}")
-    return text.replace("^", r"\^{}").replace("~", r"\~{}")
-
-
-def _emit(text: str, path: str | Path | None) -> str:
-    if path is not None:
-        write_atomic(Path(path), text.encode())
-    return text

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from featreg.compare import Table
+from featreg.table import Table
 from featreg.types import Registration
 
 METHODS = ("sar-orb", "orb", "akaze")

@@ -16,10 +16,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from featreg.compare import COLUMNS, Table, compare
+from featreg.compare import compare
 from featreg.errors import CancelledError, InputError, ParameterError, UnknownNameError
 from featreg.geometry import Rigid
 from featreg.interfaces import FailedFit, Matcher
+from featreg.table import COLUMNS, Table
 from featreg.types import Image, Matches, Registration
 
 TRUTH = Rigid(4.0, 3.0, -2.0)

@@ -1,0 +1,439 @@
+"""The main job: match and fit, keyword routing, determinism, masks, budgets, what is known beforehand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import featreg
+from featreg import registry
+from featreg.assembly import assemble
+from featreg.errors import InputError, ParameterError, UnknownNameError
+from featreg.feature_matcher import FeatureMatcher
+from featreg.geometry import Affine, Similarity
+from featreg.interfaces import Matcher
+from featreg.simulate import SimulatedPair, sar_pair
+from featreg.types import Image, Matches, Registration
+
+
+def grid_rmse(found: Registration, truth: NDArray[np.float64], size: int = 300) -> float:
+    assert found.model, found.reason
+    grid = np.stack(np.meshgrid(np.linspace(0, size - 1, 9), np.linspace(0, size - 1, 9)), -1).reshape(-1, 2)
+    return float(np.sqrt(((found.model(grid) - grid @ truth[:, :2].T - truth[:, 2]) ** 2).sum(axis=1).mean()))
+
+
+def run(pair: SimulatedPair, **keywords: Any) -> Registration:
+    return featreg.match(pair.reference, pair.secondary, **keywords)
+
+
+def assert_equal(a: Registration, b: Registration) -> None:
+    for name in ("reference_xy", "secondary_xy", "score", "origin"):
+        np.testing.assert_array_equal(getattr(a.matches, name), getattr(b.matches, name))
+    assert list(a.stages) == list(b.stages)
+    for name, mask in a.stages.items():
+        np.testing.assert_array_equal(mask, b.stages[name])
+    np.testing.assert_array_equal(a.inliers, b.inliers)
+    np.testing.assert_array_equal(a.model.matrix, b.model.matrix)  # type: ignore[union-attr]
+    assert (a.status, a.reason, dict(a.gates)) == (b.status, b.reason, dict(b.gates))
+
+
+# What comes out
+
+
+@pytest.mark.parametrize("refine", [False, True])
+def test_a_pair_is_registered(pair: SimulatedPair, refine: bool) -> None:
+    found = run(pair, refine=refine)
+    assert found.status == "ok", found.reason
+    assert grid_rmse(found, pair.truth) < (0.25 if refine else 0.6)
+    assert list(found.stages) == (["gms", "fsc", "refine"] if refine else ["gms", "fsc"])
+    assert not (found.stages["fsc"] & ~found.stages["gms"]).any()
+    assert {"read", "detect", "describe", "match", "gms", "fsc", "model", "trust"} <= set(found.timings)
+    assert all(seconds >= 0 for seconds in found.timings.values())
+    assert found.provenance["seed"] == 0
+    assert found.provenance["inputs"]["reference"]["width"] == 300
+
+
+def test_refinement_appends_rows_and_moves_none(pair: SimulatedPair) -> None:
+    plain, refined = run(pair, refine=False), run(pair, refine=True)
+    m = len(plain.matches)
+    np.testing.assert_array_equal(refined.matches.reference_xy[:m], plain.matches.reference_xy)
+    np.testing.assert_array_equal(refined.matches.secondary_xy[:m], plain.matches.secondary_xy)
+    added = refined.stages["refine"]
+    assert added[m:].all()
+    assert not added[:m].any()
+    assert not refined.stages["fsc"][m:].any()
+    np.testing.assert_array_equal(refined.stages["gms"][:m], plain.stages["gms"])
+    came = refined.matches.origin[m:]
+    assert came.max() < m
+    assert refined.matches.covariance is not None
+    assert np.isfinite(refined.matches.covariance[m:]).all()
+
+
+def test_refinement_is_better_than_none(pair: SimulatedPair) -> None:
+    assert grid_rmse(run(pair, refine=True), pair.truth) < grid_rmse(run(pair, refine=False), pair.truth)
+
+
+@pytest.mark.parametrize("n_features", [100, 600])
+@pytest.mark.parametrize("method", ["sar-orb", "orb"])
+def test_the_budget_holds_for_features_and_final_points(pair: SimulatedPair, method: str, n_features: int) -> None:
+    found = run(pair, method=method, n_features=n_features)
+    putative = len(found.matches) - int(found.stages["refine"].sum())
+    assert 0 < putative <= n_features
+    assert found.inliers.sum() <= n_features
+    final = found.matches.reference_xy[found.inliers]
+    assert len(np.unique(final, axis=0)) == len(final)
+
+
+def test_the_angle_of_the_model_is_counter_clockwise(pair: SimulatedPair) -> None:
+    found = run(pair, model="similarity")
+    assert found.model.rotation_deg == pytest.approx(6.0, abs=0.2)  # type: ignore[union-attr]
+    assert found.model.scale == pytest.approx(1.02, abs=0.003)  # type: ignore[union-attr]
+
+
+# Determinism
+
+
+@pytest.mark.parametrize("method", ["sar-orb", "sift"])
+def test_the_same_seed_gives_the_same_bits(pair: SimulatedPair, method: str) -> None:
+    assert_equal(run(pair, method=method, seed=3), run(pair, method=method, seed=3))
+
+
+@pytest.mark.parametrize("seed", [1, 2, 2**40])
+def test_other_seeds_are_as_good(pair: SimulatedPair, seed: int) -> None:
+    found = run(pair, seed=seed)
+    assert found.status == "ok"
+    assert grid_rmse(found, pair.truth) < 0.25
+    assert found.provenance["seed"] == seed
+
+
+def test_the_callers_arrays_are_left_alone(pair: SimulatedPair) -> None:
+    arrays = pair.reference.copy(), pair.secondary.copy()
+    featreg.match(*arrays)
+    np.testing.assert_array_equal(arrays[0], pair.reference)
+    assert arrays[0].flags.writeable
+
+
+# What goes in
+
+
+@pytest.mark.parametrize("kind", ["uint8", "uint16", "float64", "gain", "complex", "intensity", "db"])
+def test_one_scene_in_any_dress_gives_the_same_registration(pair: SimulatedPair, kind: str) -> None:
+    rng = np.random.default_rng(0)
+    scale = {"intensity": "intensity", "db": "db"}.get(kind)
+
+    def dressed(a: NDArray[np.float32]) -> NDArray[Any]:
+        if kind == "uint8":
+            return np.clip(np.rint(a * 50), 0, 255).astype(np.uint8)
+        if kind == "uint16":
+            return np.clip(np.rint(a * 2000), 0, 65535).astype(np.uint16)
+        if kind == "complex":
+            return (a * np.exp(1j * rng.uniform(0, 6.3, a.shape))).astype(np.complex64)
+        if kind == "intensity":
+            return a**2
+        if kind == "db":
+            return 20 * np.log10(np.maximum(a, 1e-6))
+        return a.astype(np.float64) * (1000 if kind == "gain" else 1)
+
+    plain = run(pair)
+    found = featreg.match(dressed(pair.reference), dressed(pair.secondary), scale=scale)
+    assert found.status == "ok"
+    assert grid_rmse(found, plain.model.matrix[:2]) < 0.1  # type: ignore[union-attr, index]
+
+
+def test_different_gains_and_depths_of_the_two_images(pair: SimulatedPair) -> None:
+    found = featreg.match((pair.reference * 900).astype(np.uint16), pair.secondary * 1e-4)
+    assert found.status == "ok"
+    assert grid_rmse(found, pair.truth) < 0.25
+
+
+def test_nodata_is_kept_clear_of_from_the_gradient_to_the_fit(pair: SimulatedPair) -> None:
+    first, second = pair.reference.copy(), pair.secondary.copy()
+    first[:90], second[:, 220:] = 0, 0
+    found = featreg.match(first, second, nodata=0)
+    assert found.status == "ok"
+    assert found.matches.reference_xy[:, 1].min() > 90 + 15
+    assert found.matches.secondary_xy[:, 0].max() < 220 - 15
+
+
+def test_masks_are_arrays_or_polygons(pair: SimulatedPair) -> None:
+    mask = np.zeros((300, 300), np.bool_)
+    mask[:, :200] = True
+    by_array = run(pair, reference_mask=mask)
+    by_polygon = run(pair, reference_mask=[(-0.5, -0.5), (199.5, -0.5), (199.5, 299.5), (-0.5, 299.5)])
+    assert_equal(by_array, by_polygon)
+    assert by_array.matches.reference_xy[:, 0].max() < 200 - 15
+    assert by_array.matches.secondary_xy[:, 0].max() > 200  # the other image is whole
+    other = run(pair, secondary_mask=mask)
+    assert other.matches.secondary_xy[:, 0].max() < 200 - 15
+
+
+def test_images_of_different_sizes(pair: SimulatedPair) -> None:
+    found = featreg.match(pair.reference[:240, :280], pair.secondary)
+    assert found.status == "ok"
+    assert grid_rmse(found, pair.truth, 240) < 0.25
+
+
+@pytest.mark.parametrize("size", [16, 40, 64])
+def test_tiny_images_are_unreliable_with_a_reason(size: int) -> None:
+    rng = np.random.default_rng(0)
+    found = featreg.match(rng.uniform(1, 2, (size, size)), rng.uniform(1, 2, (size, size)))
+    assert found.status == "unreliable"
+    assert found.reason
+
+
+@pytest.mark.parametrize("shape", [(16, 400), (400, 16)])
+def test_narrow_images_do_not_break(shape: tuple[int, int]) -> None:
+    strip = np.random.default_rng(0).gamma(4, 0.25, shape)
+    for method in ("sar-orb", "orb", "sift"):
+        found = featreg.match(strip, strip, method=method)
+        assert found.status in ("ok", "unreliable")
+
+
+# Keywords
+
+
+def test_a_misspelt_keyword_suggests_the_right_one(pair: SimulatedPair) -> None:
+    for wrong, right in (("treshold", "threshold"), ("n_feature", "n_features"), ("detektor", "detector"), ("quota_decy", "quota_decay")):
+        with pytest.raises(ParameterError, match=f"'{right}'"):
+            run(pair, **{wrong: 3})
+
+
+def test_a_keyword_of_two_parts_names_both(pair: SimulatedPair) -> None:
+    with pytest.raises(ParameterError) as caught:
+        run(pair, threshold=3)
+    assert "detector.threshold" in str(caught.value)
+    assert "fsc.threshold" in str(caught.value)
+
+
+def test_a_keyword_with_its_part_reaches_only_that_part(pair: SimulatedPair) -> None:
+    parameters = run(pair, **{"fsc.threshold": 1.5, "detector.threshold": 20}).provenance["parameters"]
+    assert parameters["fsc"]["threshold"] == 1.5
+    assert parameters["detector"]["threshold"] == 20
+    with pytest.raises(ParameterError, match="nobody.threshold"):
+        run(pair, **{"nobody.threshold": 1})
+    with pytest.raises(ParameterError, match="gms.threshold"):
+        run(pair, **{"gms.threshold": 1})
+
+
+def test_a_keyword_of_one_part_needs_no_prefix(pair: SimulatedPair) -> None:
+    parameters = run(pair, alpha=3.0, grid=15, half=20, least_inliers=20).provenance["parameters"]
+    assert parameters["detector"]["alpha"] == 3.0
+    assert parameters["gms"]["grid"] == 15
+    assert parameters["refinement"]["half"] == 20
+    assert parameters["trust"]["least_inliers"] == 20
+
+
+def test_the_features_of_the_detector_alone_can_be_limited(pair: SimulatedPair) -> None:
+    """What a user writes is obeyed or refused, never dropped."""
+    found = run(pair, refine=False, **{"detector.n_features": 150})
+    assert found.provenance["parameters"]["detector"]["n_features"] == 150
+    assert len(found.matches) <= 150
+
+
+def test_parts_are_replaced_by_name_or_object(pair: SimulatedPair) -> None:
+    by_name = run(pair, detector="fast", descriptor="brief", filters=["gms", "ransac"])
+    assert list(by_name.stages)[:2] == ["gms", "ransac"]
+    assert by_name.provenance["parameters"]["detector"]["name"] == "fast"
+    by_object = run(pair, detector=registry.create("detector", "fast"), filters=["gms", registry.create("filter", "ransac")])
+    np.testing.assert_array_equal(by_object.matches.reference_xy, by_name.matches.reference_xy)
+    assert by_object.status == by_name.status == "ok"
+
+
+@pytest.mark.parametrize(
+    ("keywords", "error"),
+    [
+        ({"method": "sar-orbs"}, UnknownNameError),
+        ({"model": "afine"}, UnknownNameError),
+        ({"detector": "fats"}, UnknownNameError),
+        ({"filters": ["gsm"]}, UnknownNameError),
+        ({"filters": ["gms", "gms"]}, ParameterError),
+        ({"detector": 3}, ParameterError),
+        ({"descriptor": registry.create("nearest", "brute-force")}, ParameterError),
+        ({"filters": [3]}, ParameterError),
+        ({"seed": -1}, ParameterError),
+        ({"seed": 1.5}, ParameterError),
+        ({"n_features": 0}, ParameterError),
+        ({"n_features": 10.5}, ParameterError),
+        ({"scale": "decibel"}, ParameterError),
+        ({"alpha": "wide"}, ParameterError),
+        ({"half": "wide"}, ParameterError),
+        ({"least_spread": "wide"}, ParameterError),
+        ({"search_radius": 5.0}, ParameterError),
+        ({"initial": np.eye(3)}, ParameterError),
+        ({"initial": np.eye(3), "search_radius": -2.0}, ParameterError),
+        ({"initial": np.eye(4), "search_radius": 2.0}, InputError),
+        ({"initial": {"a": 1}, "search_radius": 2.0}, ParameterError),
+        ({"reference_mask": np.ones((5, 5))}, InputError),
+    ],
+    ids=str,
+)
+def test_misuse_raises_from_our_tree(pair: SimulatedPair, keywords: dict[str, Any], error: type[Exception]) -> None:
+    with pytest.raises(error) as caught:
+        run(pair, **keywords)
+    assert "\n" not in str(caught.value)
+
+
+def test_numpy_numbers_are_numbers(pair: SimulatedPair) -> None:
+    found = run(pair, n_features=np.int64(300), seed=np.int64(1))
+    assert found.inliers.sum() <= 300
+
+
+def test_a_masked_or_switched_off_refinement_still_checks_its_keywords(pair: SimulatedPair) -> None:
+    with pytest.raises(ParameterError):
+        run(pair, refine=False, half=1)
+
+
+# Methods as objects
+
+
+def test_a_matcher_or_a_pipeline_may_stand_for_the_method(pair: SimulatedPair) -> None:
+    matcher = FeatureMatcher(
+        registry.create("detector", "sar-ofast"), registry.create("descriptor", "brief"), registry.create("nearest", "brute-force")
+    )  # fmt: skip
+    by_matcher = run(pair, method=matcher)
+    assert by_matcher.status == "ok"
+    assert by_matcher.provenance["method"] == "FeatureMatcher"
+    by_pipeline = run(pair, method=assemble("sar-orb", n_features=700))
+    assert_equal(by_pipeline, run(pair, method="sar-orb", n_features=700))
+    with pytest.raises(ParameterError, match="alpha"):
+        run(pair, method=assemble("sar-orb"), alpha=3.0)
+    with pytest.raises(ParameterError, match="model"):
+        run(pair, method=assemble("sar-orb"), model="rigid")
+
+
+class Truth(Matcher):
+    """Tie points that follow a given matrix."""
+
+    def __init__(self, truth: NDArray[np.float64], count: int = 200) -> None:
+        self.truth, self.count = truth, count
+
+    def match(self, reference: Image, secondary: Image) -> Matches:
+        xy = np.random.default_rng(0).uniform(0, 299, (self.count, 2))
+        return Matches(xy, xy @ self.truth[:, :2].T + self.truth[:, 2], np.ones(self.count))
+
+
+def test_any_source_of_tie_points_gets_filters_model_and_trust(pair: SimulatedPair) -> None:
+    found = run(pair, method=Truth(pair.truth), refine=False)
+    assert found.status == "ok"
+    assert grid_rmse(found, pair.truth) < 1e-6
+    none = run(pair, method=Truth(pair.truth, 0))
+    assert none.status == "unreliable"
+    assert len(none.matches) == 0
+    assert not none.model
+
+
+# What is known beforehand
+
+
+def test_matches_far_from_the_initial_model_are_dropped_first(pair: SimulatedPair) -> None:
+    found = run(pair, initial=pair.truth, search_radius=4.0, refine=False)
+    assert list(found.stages)[0] == "initial"
+    known = Affine(pair.truth)
+    distance = known.residuals(found.matches.reference_xy, found.matches.secondary_xy)
+    np.testing.assert_array_equal(found.stages["initial"], distance <= 4.0)
+    assert found.status == "ok"
+    assert "prior" in found.gates
+
+
+@pytest.mark.parametrize("form", ["model", "matrix", "registration"])
+def test_initial_may_be_a_model_a_matrix_or_a_result(pair: SimulatedPair, form: str) -> None:
+    before = run(pair)
+    initial = {"model": before.model, "matrix": before.model.matrix, "registration": before}[form]  # type: ignore[union-attr]
+    assert run(pair, initial=initial, search_radius=5.0).status == "ok"
+
+
+def test_a_failed_result_is_no_initial_model(pair: SimulatedPair) -> None:
+    failed = run(pair, method=Truth(pair.truth, 0))
+    with pytest.raises((ParameterError, InputError)):
+        run(pair, initial=failed, search_radius=5.0)
+
+
+def test_a_wrong_initial_model_gives_no_confident_result(pair: SimulatedPair) -> None:
+    found = run(pair, initial=[[1, 0, 80.0], [0, 1, 60.0]], search_radius=3.0)
+    assert found.status == "unreliable"
+
+
+# The user's own tie points
+
+
+def own_points(truth: NDArray[np.float64], good: int = 60, bad: int = 20) -> NDArray[np.float64]:
+    rng = np.random.default_rng(0)
+    here = rng.uniform(0, 500, (good + bad, 2))
+    there = here @ truth[:, :2].T + truth[:, 2] + rng.normal(0, 0.2, here.shape)
+    there[good:] += rng.uniform(20, 60, (bad, 2))
+    return np.column_stack([here, there])
+
+
+@pytest.mark.parametrize("form", ["array", "matches", "list"])
+def test_fit_finds_the_model_of_the_users_points(pair: SimulatedPair, form: str) -> None:
+    rows = own_points(pair.truth)
+    points = {"array": rows, "matches": Matches(rows[:, :2], rows[:, 2:], np.ones(80)), "list": rows.tolist()}[form]
+    found = featreg.fit(points, model="affine", reference_shape=(500, 500), secondary_shape=(520, 520))
+    assert found.status == "ok", found.reason
+    assert found.stages["fsc"][:60].all()
+    assert not found.stages["fsc"][60:].any()
+    assert grid_rmse(found, pair.truth, 500) < 0.3
+
+
+def test_fit_without_filters_takes_all_points(pair: SimulatedPair) -> None:
+    rows = own_points(pair.truth, 40, 0)
+    found = featreg.fit(rows, model="similarity", filters=())
+    assert dict(found.stages) == {}
+    assert isinstance(found.model, Similarity)
+    assert found.inliers.sum() == 40
+
+
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_fit_of_too_few_points_is_unreliable(count: int) -> None:
+    rows = np.arange(4.0 * count).reshape(count, 4) if count else np.zeros((0, 4))
+    found = featreg.fit(rows, model="affine")
+    assert found.status == "unreliable"
+    assert found.reason
+    assert not found.model
+
+
+@pytest.mark.parametrize("points", [np.zeros((5, 3)), np.zeros(4), "points", np.full((5, 4), np.nan)])
+def test_fit_refuses_what_are_no_tie_points(points: Any) -> None:
+    with pytest.raises(InputError):
+        featreg.fit(points)
+
+
+# Real images
+
+
+@pytest.mark.realdata
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["a", "h"])
+def test_real_pairs_turned_by_eighteen_degrees(realdata: Path, name: str) -> None:
+    files = sorted((realdata / "two_view").glob(f"{name}*"))
+    assert len(files) >= 2, files
+    found = featreg.match(files[0], files[1])
+    assert found.status == "ok", found.reason
+
+
+@pytest.mark.realdata
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["bern", "ottawa", "san"])
+def test_real_images_warped_by_an_affine(realdata: Path, name: str) -> None:
+    import cv2
+
+    image = cv2.imread(str(realdata / "bitemporal" / f"{name}_1.bmp"), cv2.IMREAD_GRAYSCALE)
+    height, width = image.shape
+    matrix = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), 17.0, 1.08)
+    warped = cv2.warpAffine(image, matrix, (width, height), flags=cv2.INTER_LINEAR)
+    found = featreg.match(image, warped)
+    assert found.status == "ok", found.reason
+    assert grid_rmse(found, matrix, min(image.shape)) < 0.3
+
+
+@pytest.mark.slow
+def test_a_turn_of_any_size_is_registered() -> None:
+    for angle in (-170.0, -95.0, 45.0, 90.0, 180.0):
+        made = sar_pair((400, 400), rotation_deg=angle, seed=7)
+        found = run(made)
+        assert found.status == "ok", (angle, found.reason)
+        assert grid_rmse(found, made.truth, 400) < 0.3
