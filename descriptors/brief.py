@@ -54,11 +54,13 @@ class Brief(Descriptor):
     def __post_init__(self) -> None:
         if self.bits < 256 or self.bits % 256:
             raise ParameterError(f"brief needs bits to be a positive multiple of 256, got {self.bits}")
-        if not (0 < self.radius <= 100 and self.spread > 0 and self.factor > 1):
+        if not (5 <= self.radius <= 100 and self.spread >= 1 and self.sigma > 0):
             raise ParameterError(
-                "brief needs 0 < radius <= 100, spread > 0 and factor > 1, got "
-                f"{self.radius}, {self.spread} and {self.factor}"
+                "brief needs 5 <= radius <= 100, spread >= 1 and sigma > 0, got "
+                f"{self.radius}, {self.spread} and {self.sigma}"
             )
+        if not (self.factor > 1 and self.levels >= 1):
+            raise ParameterError(f"brief needs factor > 1 and levels >= 1, got {self.factor} and {self.levels}")
 
     def describe_features(self, image: Image, features: Features) -> Features:
         from featreg.sar import binary_kernels

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from featreg.errors import ParameterError
 from featreg.interfaces import Detector
 from featreg.registry import register
-from featreg.sar.corners import fast_corners, orientation, refine_centroid, refine_corner
+from featreg.sar.corners import REACH, fast_corners, orientation, refine_centroid, refine_corner
 from featreg.sar.pyramid import SUPPORT, clear, pyramid, share_out, to_base
 from featreg.sar.ratio import quantised_edges, ratio_gradients
 from featreg.sar.speckle import despeckled
@@ -61,10 +61,19 @@ class SarOfast(Detector):
     sigma: float = 1.0
 
     def __post_init__(self) -> None:
-        if self.n_features < 1 or self.levels < 1 or self.factor <= 1 or self.quota_decay < 1:
+        if not (self.n_features >= 1 and self.levels >= 1 and self.factor > 1 and self.quota_decay >= 1):
             raise ParameterError(
                 "sar-ofast needs n_features >= 1, levels >= 1, factor > 1 and quota_decay >= 1, got "
                 f"{self.n_features}, {self.levels}, {self.factor} and {self.quota_decay}"
+            )
+        if not (self.alpha > 0 and self.floor >= 0 and 0 <= self.threshold < 255):
+            raise ParameterError(
+                "sar-ofast needs alpha > 0, floor >= 0 and 0 <= threshold < 255, got "
+                f"{self.alpha}, {self.floor} and {self.threshold}"
+            )
+        if not (3 <= self.support <= 1000 and 0.3 <= self.sigma <= 10):
+            raise ParameterError(
+                f"sar-ofast needs 3 <= support <= 1000 and 0.3 <= sigma <= 10, got {self.support} and {self.sigma}"
             )
         if self.edge not in ("log", "eq5") or self.subpixel not in ("centroid", "corner", "none"):
             raise ParameterError(
@@ -97,7 +106,7 @@ class SarOfast(Detector):
         return level.derive(quantised_edges, alpha=self.alpha, floor=self.floor, eq5=self.edge == "eq5")
 
     def _corners(self, level: Image) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
-        return fast_corners(self._edges(level), self.threshold, clear(level, self.support), self.n_features)
+        return fast_corners(self._edges(level), self.threshold, clear(level, self.support + REACH), self.n_features)
 
     def _subpixel(self, level: Image, at: NDArray[np.int64]) -> NDArray[np.float64]:
         if self.subpixel == "centroid":

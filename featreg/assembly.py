@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
+import numpy as np
+
 from featreg import registry
 from featreg.errors import ParameterError, UnknownNameError, suggest
 from featreg.feature_matcher import FeatureMatcher
@@ -77,8 +79,9 @@ def assemble(
             raise ParameterError(f"a Pipeline takes no further keywords, got {', '.join([*given, *keywords])}")
         return method
     budget = DEFAULT_FEATURES if n_features is None else n_features
-    if not isinstance(budget, int) or budget < 1:
+    if not isinstance(budget, int | np.integer) or isinstance(budget, bool) or budget < 1:
         raise ParameterError(f"n_features must be a whole number >= 1, got {budget!r}")
+    budget = int(budget)
     name, preset = _preset(method)
     keywords = dict(keywords)
     slots = _slots(preset, method, keywords)
@@ -88,12 +91,13 @@ def assemble(
     refinement, limits = _route(keywords, slots, steps)
     for slot in slots.values():
         if "n_features" in slot.known:
-            slot.parameters["n_features"] = budget
+            slot.parameters.setdefault("n_features", budget)
     matcher = _matcher(slots, budget, common)
     filters = tuple((step, slot.make()) for step, slot in steps.items())
     use = preset.refine if refine is None else refine
     chosen = registry.model_class(model or DEFAULT_MODEL) if not isinstance(model, type) else model
-    refiner = Refine(**refinement) if use else None
+    refinement_asked = Refine(**refinement)
+    refiner = refinement_asked if use else None
     parameters: dict[str, Any] = {"n_features": budget, "model": registry.model_name(chosen), "refine": bool(use)}
     if isinstance(matcher, FeatureMatcher):
         parameters["common_rotation"] = matcher.common_rotation

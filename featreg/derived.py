@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import inspect
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 MAX_BYTES = 1 << 30
+
+
+@lru_cache(maxsize=256)
+def _defaults(function: Callable[..., Any]) -> dict[str, Any]:
+    """The parameters that a function has defaults for: spelt out or not, they name the same map."""
+    parameters = inspect.signature(function).parameters.values()
+    return {p.name: p.default for p in parameters if p.default is not p.empty}
 
 
 class DerivedMaps:
@@ -28,7 +37,7 @@ class DerivedMaps:
     def get(self, image: Any, function: Callable[..., Any], params: Mapping[str, Any]) -> Any:
         if "<" in function.__qualname__:
             raise TypeError(f"derive needs a module-level function, got {function.__qualname__}")
-        key = (function.__module__, function.__qualname__, tuple(sorted(params.items())))
+        key = (function.__module__, function.__qualname__, tuple(sorted({**_defaults(function), **params}.items())))
         with self._lock:
             if key in self._maps:
                 self._maps.move_to_end(key)

@@ -5,6 +5,7 @@
     ├── ParameterError          a parameter that does not exist, is ambiguous or has an impossible value
     ├── UnknownNameError        no plugin or preset of that name
     ├── PluginError             a plugin that breaks the rules of the registry
+    │   ├── DuplicatePluginError     two plugins of one name
     │   └── PluginUnavailableError   a known plugin whose library cannot be imported here
     └── CancelledError          the caller's `cancel` event was set
 
@@ -36,6 +37,10 @@ class UnknownNameError(FeatregError, LookupError):
 
 class PluginError(FeatregError):
     """A plugin breaks the rules of the registry (two of one name, parameters that cannot be listed)."""
+
+
+class DuplicatePluginError(PluginError):
+    """Two plugins have one name; the text names both modules."""
 
 
 class PluginUnavailableError(PluginError, ImportError):

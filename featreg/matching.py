@@ -152,7 +152,10 @@ def _initial(initial: Any, search_radius: float | None) -> Model | None:
 
 
 def _as_matches(points: Any) -> Matches:
-    array = np.asarray(points, np.float64)
+    try:
+        array = np.asarray(points, np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"tie points must be Matches or an (M, 4) array of numbers, got {points!r:.40}") from error
     if array.ndim != 2 or array.shape[1] != 4:
         raise InputError(f"tie points must be an (M, 4) array of reference x, y, secondary x, y, got {array.shape}")
     return Matches(array[:, :2], array[:, 2:], np.ones(len(array)))

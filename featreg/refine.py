@@ -51,7 +51,7 @@ class Refine:
     ----------
     half : half the correlation window, px; it is 2 * half + 1 wide
     sigma : of the Gaussian that smooths the log-amplitude, px
-    search : largest shift looked for around the first model, px; half of it around the second
+    search : largest shift looked for around the first model, px; around the second it is 2
     min_correlation : least height of a peak
     max_residual : largest distance of a kept tie point from the final model, px
     least_share : share of the points looked at that must be kept, or the refinement is not used
@@ -74,10 +74,12 @@ class Refine:
     least_share: float = 0.15
 
     def __post_init__(self) -> None:
-        if self.half < 4 or self.search < 2 or not 0 < self.min_correlation < 1 or self.max_residual <= 0:
+        good = self.half >= 4 and self.search >= 2 and self.sigma > 0 and 0 < self.min_correlation < 1
+        if not (good and self.max_residual > 0 and 0 <= self.least_share <= 1):
             raise ParameterError(
-                "refine needs half >= 4, search >= 2, 0 < min_correlation < 1 and max_residual > 0, got "
-                f"{self.half}, {self.search}, {self.min_correlation} and {self.max_residual}"
+                "refine needs half >= 4, search >= 2, sigma > 0, 0 < min_correlation < 1, max_residual > 0 and "
+                f"0 <= least_share <= 1, got {self.half}, {self.search}, {self.sigma}, {self.min_correlation}, "
+                f"{self.max_residual} and {self.least_share}"
             )
 
     def least(self, candidates: int) -> int:
@@ -115,7 +117,7 @@ class Refine:
         keep &= final.residuals(here_xy, there_xy) <= self.max_residual
         here_xy, there_xy = here_xy[keep], there_xy[keep]
         height, curvature = fine.height[keep], fine.curvature[keep]
-        covariance = (1 - height[:, None, None] ** 2) * np.linalg.inv(curvature)
+        covariance = np.maximum(1 - height**2, 1e-6)[:, None, None] * np.linalg.inv(curvature)
         covariance *= _variance_factor(there_xy - final(here_xy), covariance)
         refined = Matches(here_xy, there_xy, height, covariance, origin[keep])
         return Refined(refined, final, len(seeds), correlated)
@@ -232,7 +234,7 @@ def _all_clear(clear_map: BoolArray, model: Model, xy: IntArray, reach: int) -> 
     lattice = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
     at = np.rint(model((xy[:, None, :] + lattice).reshape(-1, 2))).astype(np.int64)
     at = np.clip(at, 0, [clear_map.shape[1] - 1, clear_map.shape[0] - 1])
-    return np.asarray(clear_map[at[:, 1], at[:, 0]].reshape(len(xy), -1).all(axis=1))
+    return np.asarray(clear_map[at[:, 1], at[:, 0]].reshape(len(xy), len(lattice)).all(axis=1))
 
 
 def _distance(first: Model, second: Model, shape: tuple[int, int]) -> float:

@@ -20,7 +20,14 @@ from typing import Any, Literal, TypeVar, overload
 
 import numpy as np
 
-from featreg.errors import ParameterError, PluginError, PluginUnavailableError, UnknownNameError, suggest
+from featreg.errors import (
+    DuplicatePluginError,
+    ParameterError,
+    PluginError,
+    PluginUnavailableError,
+    UnknownNameError,
+    suggest,
+)
 from featreg.interfaces import Descriptor, Detector, Filter, Matcher, Model, Nearest
 
 Kind = Literal["detector", "descriptor", "nearest", "matcher", "filter", "model"]
@@ -207,7 +214,7 @@ def _add(new: Entry) -> None:
     with _lock:
         old = _entries.get((new.kind, new.name))
         if old is not None and (old.module, old.factory) != (new.module, new.factory):
-            raise PluginError(f"two plugins are called {new.kind} '{new.name}': {old.module} and {new.module}")
+            raise DuplicatePluginError(f"two plugins are called {new.kind} '{new.name}': {old.module} and {new.module}")
         _entries[new.kind, new.name] = new
 
 
@@ -232,7 +239,7 @@ def _load() -> None:
 def _import(name: str, load: Callable[[], Any]) -> None:
     try:
         load()
-    except PluginError:
+    except DuplicatePluginError:
         raise
     except Exception as error:
         _broken[name] = f"{type(error).__name__}: {error}"

@@ -110,9 +110,10 @@ def assess(
     height, width = reference_shape
     centre = np.array([[(width - 1) / 2, (height - 1) / 2]])
     linear = local_linear(model, centre)[0]
-    mirrored = float(np.linalg.det(linear)) <= 0
-    _, scale, anisotropy, _ = decompose(linear)
-    gate("scale", math.nan if mirrored else scale, "scale at the centre", low=1 / limits.scale, high=limits.scale)
+    determinant = float(np.linalg.det(linear))
+    gate("determinant", determinant, "of the model's linear part; the images are mirrored where negative", low=0.0)
+    _, _, anisotropy, _ = decompose(linear)
+    gate("scale", math.sqrt(abs(determinant)), "scale at the centre", low=1 / limits.scale, high=limits.scale)
     gate("anisotropy", anisotropy, "ratio of the two scales at the centre", high=limits.anisotropy)
     if initial is not None:
         apart = float(np.hypot(*(model(here) - initial(here)).T).mean()) if len(here) else math.nan

@@ -52,9 +52,14 @@ def points(values: ArrayLike, what: str) -> FloatArray:
         array = array.reshape(0, 2)
     if array.ndim != 2 or array.shape[1] != 2:
         raise InputError(f"{what} must be an (N, 2) array of (x, y), got shape {array.shape}")
+    return read_only(finite(array, what))
+
+
+def finite(array: FloatArray, what: str) -> FloatArray:
+    """Return `array` itself; an `InputError` where it holds a value that is not finite."""
     if not np.isfinite(array).all():
         raise InputError(f"{what} must be finite, got {int((~np.isfinite(array)).sum())} values that are not")
-    return read_only(array)
+    return array
 
 
 def column(values: ArrayLike, rows: int, what: str, dtype: Any = np.float64) -> NDArray[Any]:
@@ -172,8 +177,18 @@ def _all_valid(image: Image) -> bool:
     return bool(image.mask.all())
 
 
+class _ReadOnly:
+    """Arrays come back from a pickle locked, as they were."""
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        for value in state.values():
+            if isinstance(value, np.ndarray):
+                read_only(value)
+
+
 @dataclass(frozen=True, eq=False)
-class Features:
+class Features(_ReadOnly):
     """Keypoints of one image and, once described, their descriptors.
 
     Parameters
@@ -202,7 +217,7 @@ class Features:
         put(self, "xy", points(self.xy, "Features.xy"))
         n = len(self.xy)
         for name in ("scale", "angle", "score"):
-            put(self, name, column(getattr(self, name), n, f"Features.{name}"))
+            put(self, name, finite(column(getattr(self, name), n, f"Features.{name}"), f"Features.{name}"))
         put(self, "level", column(self.level, n, "Features.level", np.int64))
         if self.index is not None:
             put(self, "index", column(self.index, n, "Features.index", np.int64))
@@ -251,8 +266,6 @@ class Features:
 
     def best(self, count: int) -> Self:
         """At most `count` features of the highest score, best first, ties in the order given."""
-        if len(self) <= count:
-            return self
         return self.take(np.argsort(-self.score, kind="stable")[:count])
 
     def to_keypoints(self) -> list[Any]:
@@ -270,7 +283,7 @@ class Features:
 
 
 @dataclass(frozen=True, eq=False)
-class Matches:
+class Matches(_ReadOnly):
     """Tie points: pairs of homologous points of the two images.
 
     Parameters
@@ -298,7 +311,7 @@ class Matches:
         m = len(self.reference_xy)
         if len(self.secondary_xy) != m:
             raise InputError(f"as many reference as secondary points are needed, got {m} and {len(self.secondary_xy)}")
-        put(self, "score", column(self.score, m, "Matches.score"))
+        put(self, "score", finite(column(self.score, m, "Matches.score"), "Matches.score"))
         put(self, "origin", column(self.origin, m, "Matches.origin", np.int64))
         for name in ("rotation", "scale_ratio"):
             if getattr(self, name) is not None:

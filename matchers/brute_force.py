@@ -101,6 +101,9 @@ def _euclidean(a: NDArray[Any], b: NDArray[Any], ratio: bool) -> Neighbours:
     """Squared distances as |a|^2 + |b|^2 - 2ab, a block of rows at a time, so that memory stays bounded."""
     from featreg.sar import distance_kernels
 
+    # Distances stay; the large common part, which would cancel in the sum, goes. Whole numbers stay whole.
+    centre = np.rint(b.mean(axis=0))
+    a, b = a - centre, b - centre
     n, m = len(a), len(b)
     forward, backward = np.zeros(n, np.int64), np.zeros(m, np.int64)
     best, second = np.full(n, np.inf, np.float32), np.full(n, np.inf, np.float32)

@@ -44,9 +44,9 @@ class Gms(Filter):
     scale: bool = False
 
     def __post_init__(self) -> None:
-        if self.grid < 3 or self.threshold_factor <= 0:
+        if not 3 <= self.grid <= 60 or not self.threshold_factor > 0:
             raise ParameterError(
-                f"gms needs grid >= 3 and threshold_factor > 0, got {self.grid} and {self.threshold_factor}"
+                f"gms needs 3 <= grid <= 60 and threshold_factor > 0, got {self.grid} and {self.threshold_factor}"
             )
 
     def keep(self, matches: Matches, context: FilterContext) -> BoolArray:
@@ -95,7 +95,7 @@ def _cells(unit: FloatArray, wide: int, high: int, dx: float, dy: float) -> IntA
     with np.errstate(invalid="ignore"):
         x = np.floor(unit[:, 0] * wide + dx)
         y = np.floor(unit[:, 1] * high + dy)
-        inside = (x >= (dx > 0)) & (y >= (dy > 0)) & (x < wide) & (y < high)
+        inside = (x >= 0) & (y >= 0) & (x < wide) & (y < high)
     return np.where(inside, y * wide + x, -1).astype(np.int64)
 
 

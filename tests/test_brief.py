@@ -54,7 +54,7 @@ def test_length_and_kind(sar_texture: Texture, length: int) -> None:
 
 def test_a_bit_is_set_where_the_first_sample_is_darker() -> None:
     """On a ramp along x, a comparison and its mirror image give opposite bits."""
-    y, x = np.mgrid[:100, :100]
+    x = np.mgrid[:100, :100][1]
     ramp = as_image(np.exp(0.02 * x))
     towards, away = describe(ramp, at([[50, 50]])), describe(ramp, at([[50, 50]], angle=math.pi))
     assert 0.3 < bits(towards).mean() < 0.7
@@ -149,7 +149,10 @@ def test_samples_fill_the_radius_and_do_not_leave_it(sar_texture: Texture, radiu
         beyond = np.hypot(x - 80, y - 80) > reach
         other = amplitude.copy()
         other[beyond] = rng.permutation(other[beyond])
-        made = [describe(as_image(v), at([[80, 80]], radius, 0.8), radius=radius, spread=radius / 2) for v in (amplitude, other)]
+        made = [
+            describe(as_image(v), at([[80, 80]], radius, 0.8), radius=radius, spread=radius / 2)
+            for v in (amplitude, other)
+        ]
         agreed[reach] = agreement(*made)
     assert agreed[radius + 3] > 0.985
     assert agreed[0.5 * radius] < 0.95

@@ -28,7 +28,7 @@ def hamming(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> NDArray[np.float64]:
 
 
 def euclidean(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.float64]:
-    return np.sqrt(((a[:, None].astype(np.float64) - b[None]) ** 2).sum(axis=2))
+    return np.asarray(np.sqrt(((a[:, None].astype(np.float64) - b[None]) ** 2).sum(axis=2)))
 
 
 def expected(distance: NDArray[np.float64], mutual: bool, ratio: float) -> NDArray[np.int64]:
@@ -39,7 +39,7 @@ def expected(distance: NDArray[np.float64], mutual: bool, ratio: float) -> NDArr
     if ratio < 1 and distance.shape[1] > 1:
         two = np.sort(distance, axis=1)[:, :2]
         keep &= two[:, 0] < ratio * two[:, 1]
-    return np.column_stack([rows, nearest])[keep]
+    return np.asarray(np.column_stack([rows, nearest])[keep], np.int64)
 
 
 def pairs(a: Any, b: Any, **parameters: Any) -> tuple[Any, Any]:

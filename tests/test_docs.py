@@ -71,7 +71,9 @@ def _fill(out: list[str], lines: list[str], start: int, stop: int, language: str
                 out[start + number] = f"shell({command!r})"
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize(
+    "page", [pytest.param(p, id=p.name, marks=pytest.mark.slow if p.name == "README.md" else ()) for p in PAGES]
+)
 def test_what_the_page_shows_works(page: Path, tmp_path: Path) -> None:
     (tmp_path / "_helpers.py").write_text(HELPERS, encoding="utf-8")
     (tmp_path / page.with_suffix(".py").name).write_text(script(page.read_text(encoding="utf-8")), encoding="utf-8")

@@ -90,7 +90,9 @@ def test_the_budget_holds_for_each_image(sar_texture: Texture) -> None:
     """Also where the detector itself knows no budget."""
     rng = np.random.default_rng(0)
     score = rng.uniform(size=300)
-    everywhere = Features(rng.uniform(30, 170, (300, 2)), np.full(300, 20.0), np.zeros(300), score, np.zeros(300, np.int64))
+    everywhere = Features(
+        rng.uniform(30, 170, (300, 2)), np.full(300, 20.0), np.zeros(300), score, np.zeros(300, np.int64)
+    )
     made = replace(matcher(50, mutual=False), detector=Fixed(everywhere))
     found = made.match(as_image(sar_texture()), as_image(sar_texture()))
     assert 0 < len(found) <= 50

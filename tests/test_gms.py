@@ -112,7 +112,9 @@ def test_few_matches_give_a_mask_of_their_length(count: int) -> None:
     assert keep(Matches(xy, xy, np.ones(count))).shape == (count,)
 
 
-@pytest.mark.parametrize("parameters", [{"grid": 2}, {"grid": 100000}, {"threshold_factor": 0.0}, {"threshold_factor": float("nan")}])
+@pytest.mark.parametrize(
+    "parameters", [{"grid": 2}, {"grid": 100000}, {"threshold_factor": 0.0}, {"threshold_factor": float("nan")}]
+)
 def test_impossible_parameters_are_refused(parameters: dict[str, Any]) -> None:
     with pytest.raises(ParameterError):
         registry.create("filter", "gms", **parameters)

@@ -35,12 +35,13 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
         {"base", "types", "interfaces", "registry", "geometry", "input"},
     ),
     "pipeline": (
-        {"feature_matcher", "presets", "refine", "trust", "pipeline", "assembly", "matching", "extractor", "warm_up"},
+        {"feature_matcher", "presets", "refine", "trust", "pipeline", "assembly", "matching", "extractor"},
         {"base", "types", "sar", "interfaces", "registry", "geometry", "robust", "input", "simulate"},
     ),
     "evaluation": (
-        {"evaluation", "compare", "comparison", "tables", "pictures", "picture_panels", "picture_sheet"},
-        {"base", "types", "sar", "interfaces", "registry", "geometry", "input", "results", "pipeline"},
+        {"evaluation", "compare", "comparison", "table", "prediction_cache", "pictures", "picture_panels",
+         "picture_sheet", "warm_up", "warming"},
+        {"base", "types", "sar", "interfaces", "registry", "geometry", "input", "simulate", "results", "pipeline"},
     ),
     "cli": (
         {"cli", "demo", "doctor", "__main__"},

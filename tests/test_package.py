@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import email
 import importlib.metadata
+import importlib.util
 import inspect
 import json
 import os
@@ -66,6 +67,13 @@ def test_every_public_name_can_be_had_and_is_documented(name: str) -> None:
     assert inspect.getdoc(value), f"featreg.{name} has no docstring"
     assert name in dir(featreg)
     assert value.__module__.startswith("featreg.")
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_no_module_is_called_like_a_public_name(name: str) -> None:
+    """Importing a submodule binds its name in the package, so `featreg.name` would be the function or the module,
+    whichever was asked for first."""
+    assert importlib.util.find_spec(f"featreg.{name}") is None, f"rename the module featreg.{name}"
 
 
 def test_an_unknown_name_is_an_attribute_error() -> None:

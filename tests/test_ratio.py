@@ -166,7 +166,9 @@ def test_the_gradient_points_to_the_brighter_side() -> None:
 def test_mirrored_and_transposed_images_give_mirrored_and_transposed_gradients(sar_texture: Texture) -> None:
     amplitude = sar_texture(57, 43, seed=5)
     gx, gy = roewa(amplitude, 2.0)
-    right, up, turned = (roewa(np.ascontiguousarray(a), 2.0) for a in (amplitude[:, ::-1], amplitude[::-1], amplitude.T))
+    right, up, turned = (
+        roewa(np.ascontiguousarray(a), 2.0) for a in (amplitude[:, ::-1], amplitude[::-1], amplitude.T)
+    )
     for found, wanted in (
         (right[0], -gx[:, ::-1]),
         (right[1], gy[:, ::-1]),

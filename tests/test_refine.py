@@ -95,8 +95,8 @@ def test_windows_keep_clear_of_a_masked_half(pair: SimulatedPair, which: str) ->
     mask = np.ones((300, 300), np.bool_)
     mask[:, :150] = False
     masks = {"reference": None, "secondary": None} | {which: mask}
-    images = [as_image(getattr(pair, role), mask=masks[role]) for role in ("reference", "secondary")]
-    found = Refine().run(*images, near(pair.truth), Matches.empty(), 2000)
+    first, second = (as_image(getattr(pair, role), mask=masks[role]) for role in ("reference", "secondary"))
+    found = Refine().run(first, second, near(pair.truth), Matches.empty(), 2000)
     xy = found.matches.reference_xy if which == "reference" else found.matches.secondary_xy
     assert len(xy) > 100
     assert xy[:, 0].min() >= 150 + 24 - 2
@@ -119,7 +119,9 @@ def test_what_lies_under_the_mask_has_no_influence(pair: SimulatedPair) -> None:
     mask[100:140, 100:200] = False
     second = as_image(pair.secondary)
     found = [
-        Refine().run(as_image(np.where(mask, pair.reference, v), mask=mask), second, near(pair.truth), Matches.empty(), 999)
+        Refine().run(
+            as_image(np.where(mask, pair.reference, v), mask=mask), second, near(pair.truth), Matches.empty(), 999
+        )
         for v in (0.0, 99.0)
     ]
     np.testing.assert_array_equal(found[0].matches.secondary_xy, found[1].matches.secondary_xy)

@@ -155,7 +155,7 @@ def corner_error(model: Any, truth: FloatArray, size: int) -> float:
 
 
 @pytest.mark.parametrize("method", ["sar-orb", "orb"])
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_unrelated_images_are_unreliable_with_a_reason(method: str, seed: int) -> None:
     one, other = sar_pair((256, 256), seed=10 + seed), sar_pair((256, 256), seed=20 + seed)
     found = featreg.match(one.reference, other.secondary, method=method)

@@ -40,7 +40,12 @@ def image(height: int = 20, width: int = 30) -> Image:
 def features(n: int = 5) -> Features:
     rng = np.random.default_rng(0)
     return Features(
-        rng.uniform(0, 9, (n, 2)), np.ones(n), np.zeros(n), np.arange(n), np.zeros(n), np.zeros((n, 8), np.float32)
+        rng.uniform(0, 9, (n, 2)),
+        np.ones(n),
+        np.zeros(n),
+        np.arange(float(n)),
+        np.zeros(n, np.int64),
+        np.zeros((n, 8), np.float32),
     )
 
 
@@ -226,8 +231,12 @@ def test_concatenated_and_empty_features() -> None:
 def test_keypoints_and_back() -> None:
     rng = np.random.default_rng(3)
     made = Features(
-        rng.uniform(0, 500, (20, 2)), rng.uniform(1, 30, 20), rng.uniform(0, 6.2, 20), rng.uniform(0, 9, 20), np.arange(20) % 5
-    )  # fmt: skip
+        xy=rng.uniform(0, 500, (20, 2)),
+        scale=rng.uniform(1, 30, 20),
+        angle=rng.uniform(0, 6.2, 20),
+        score=rng.uniform(0, 9, 20),
+        level=np.arange(20) % 5,
+    )
     again = Features.from_keypoints(made.to_keypoints())
     for name in ("xy", "scale", "angle", "score", "level"):
         np.testing.assert_allclose(getattr(again, name), getattr(made, name), rtol=1e-5, atol=1e-5)
@@ -255,7 +264,10 @@ def test_matches_are_checked_where_they_are_made() -> None:
 
 
 def test_appended_matches_keep_what_is_known() -> None:
-    first, more = matches(3, rotation=np.full(3, 0.25)), matches(2, covariance=np.tile(np.eye(2), (2, 1, 1)), origin=[0, 2])
+    first, more = (
+        matches(3, rotation=np.full(3, 0.25)),
+        matches(2, covariance=np.tile(np.eye(2), (2, 1, 1)), origin=[0, 2]),
+    )
     joined = first.appended(more)
     assert len(joined) == 5
     assert joined.origin.tolist() == [-1, -1, -1, 0, 2]

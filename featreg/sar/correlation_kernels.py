@@ -91,6 +91,8 @@ def correlations(
                 ma, mb = np.float64(mean[i] / count), np.float64(mean_b[y, x])
                 va = np.float64(square[i] / count) - ma * ma
                 vb = np.float64(square_b[y, x]) - mb * mb
-                scale = np.sqrt(max(va, 0.0) * max(vb, 0.0))
+                # A window whose variance is rounding error of its mean square is constant.
+                flat = va <= 1e-5 * square[i] / count or vb <= 1e-5 * square_b[y, x]
                 covariance = np.float64(product[i] / count) - ma * mb
-                out[i, dy + search, dx + search] = covariance / scale if scale > 1e-12 else 0.0
+                value = 0.0 if flat else covariance / np.sqrt(va * vb)
+                out[i, dy + search, dx + search] = min(max(value, -1.0), 1.0)

@@ -16,7 +16,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from featreg.types import FloatArray
+from featreg.sar.pyramid import pyramid
+from featreg.sar.ratio import ratio_gradients
+from featreg.types import FloatArray, Image
 
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]
@@ -28,6 +30,10 @@ SECTORS = 8
 CELLS = 1 + 2 * SECTORS
 #: Outer radii of the central disc and the inner ring, relative to that of the descriptor.
 DISC, RING = 0.25, 0.73
+# Pieces of equal weight into which the patterns are cut.
+DISC_RINGS, PIECE_RINGS = 8, 8
+# Points whose pieces are held at a time.
+BLOCK = 256
 # No component of a unit descriptor may exceed this (Lowe): a few strong edges must not decide alone.
 CLIP = 0.2
 
@@ -53,6 +59,32 @@ class PolarField:
         return cls(np.asarray(magnitude, np.float32), np.asarray(np.float32(2 * math.pi) - direction, np.float32))
 
 
+def octave(image: Image, alpha: float, finest: float = 1.5) -> tuple[Image, float]:
+    """Return the image, halved as often as leaves `alpha` at least `finest`, and what alpha is there.
+
+    What is smoothed over many pixels says as much on a coarser grid, at a quarter of the cost each time.
+    """
+    halvings = max(0, math.floor(math.log2(alpha / finest) + 1e-6))
+    chain = pyramid(image, halvings + 1, 2.0)
+    level = chain[-1]
+    return level, alpha / 2 ** (len(chain) - 1)
+
+
+def from_base(xy: FloatArray, level: Image, base: Image) -> FloatArray:
+    """Map (N, 2) points of the base image to a level of it; the inverse of `to_base`."""
+    scale = np.array([level.shape[1] / base.shape[1], level.shape[0] / base.shape[0]])
+    return np.asarray((xy + 0.5) * scale - 0.5)
+
+
+def ratio_field(level: Image, alpha: float, floor: float) -> PolarField:
+    """Return the ROEWA gradient of an image, computed once, by length and direction; see `ratio_gradients`."""
+    return level.derive(_ratio_field, alpha=float(alpha), floor=float(floor))
+
+
+def _ratio_field(level: Image, alpha: float, floor: float) -> PolarField:
+    return PolarField.of(*ratio_gradients(level, alpha, floor))
+
+
 def dominant_orientation(field: PolarField, xy: FloatArray, radius: FloatArray, step: float = 0.14) -> FloatArray:
     """Return the (N,) direction in radians around which the gradients near each point gather.
 
@@ -70,9 +102,7 @@ def dominant_orientation(field: PolarField, xy: FloatArray, radius: FloatArray, 
     """
     from featreg.sar import histogram_kernels
 
-    pattern, weights = _disc(step)
-    histograms = _pooled(field, xy, radius, np.zeros(len(xy)), pattern, np.zeros((len(weights), 1), np.int64), weights,
-                         1, ORIENTATIONS)  # fmt: skip
+    histograms = _pooled(field, xy, radius, np.zeros(len(xy)), _disc(step), ORIENTATIONS)
     angle = np.empty(len(xy))
     histogram_kernels.peak_direction(histograms, angle)
     return angle
@@ -98,8 +128,7 @@ def gloh(
     GLOH's 17 cells with half of its directions. Samples lie on a square grid that turns with the point and read the
     nearest pixel of the field; what lies outside the field counts as no gradient.
     """
-    pattern, cells, shares = gloh_pattern(step, soft)
-    return _pooled(field, xy, radius, angle, pattern, cells, shares, CELLS, DIRECTIONS)
+    return _pooled(field, xy, radius, angle, _log_polar(step, soft), DIRECTIONS)
 
 
 def normalised(histograms: F32, root: bool = False) -> F32:
@@ -120,57 +149,75 @@ def _unit(rows: F32) -> F32:
     return np.asarray(rows / np.where(length > 0, length, 1)[:, None], np.float32)
 
 
+@dataclass(frozen=True, eq=False)
+class _Pattern:
+    """`samples` (2, S) in the unit disc, the `piece` (S,) each belongs to, `shares` (P, cells) of pieces in cells."""
+
+    samples: F32
+    piece: I64
+    shares: F32
+
+
 def _pooled(
-    field: PolarField, xy: FloatArray, radius: FloatArray, angle: FloatArray, pattern: F32, cells: I64, shares: F32,
-    count: int, bins: int,
-) -> F32:  # fmt: skip
+    field: PolarField, xy: FloatArray, radius: FloatArray, angle: FloatArray, pattern: _Pattern, bins: int
+) -> F32:
+    """(N, bins * cells): samples go to small pieces first, where each costs two additions, and pieces to cells."""
     from featreg.sar import histogram_kernels
 
     height, width = field.magnitude.shape
-    out = np.zeros((len(xy), count * bins), np.float32)
-    histogram_kernels.pool(
-        np.ascontiguousarray(field.magnitude).ravel(), np.ascontiguousarray(field.direction).ravel(), width, height,
-        np.ascontiguousarray(xy, np.float64), np.ascontiguousarray(radius, np.float64),
-        np.ascontiguousarray(angle, np.float64), pattern, cells, shares, bins, out,
-    )  # fmt: skip
+    flat = np.ascontiguousarray(field.magnitude).ravel(), np.ascontiguousarray(field.direction).ravel()
+    pieces, cells = pattern.shares.shape
+    out = np.empty((len(xy), bins * cells), np.float32)
+    xy, radius, angle = (np.ascontiguousarray(values, np.float64) for values in (xy, radius, angle))
+    for start in range(0, len(xy), BLOCK):
+        rows = slice(start, start + BLOCK)
+        small = np.zeros((len(xy[rows]), bins, pieces), np.float32)
+        histogram_kernels.pool(
+            *flat, width, height, xy[rows], radius[rows], angle[rows], pattern.samples, pattern.piece, small
+        )
+        out[rows] = (small.reshape(-1, pieces) @ pattern.shares).reshape(-1, bins * cells)
     return out
 
 
 @lru_cache(maxsize=16)
-def _disc(step: float) -> tuple[F32, F32]:
-    pattern = _grid(step)
-    weights = np.exp(-2.0 * (pattern.astype(np.float64) ** 2).sum(axis=0)).astype(np.float32)[:, None]
-    return pattern, weights
+def _disc(step: float) -> _Pattern:
+    """Samples of one cell, in rings whose weights fall as a Gaussian of half the radius."""
+    samples = _grid(step)
+    rho = np.hypot(*samples.astype(np.float64))
+    piece = np.minimum((rho * DISC_RINGS).astype(np.int64), DISC_RINGS - 1)
+    middle = (np.arange(DISC_RINGS) + 0.5) / DISC_RINGS
+    return _Pattern(samples, piece, np.exp(-2.0 * middle**2).astype(np.float32)[:, None])
 
 
 @lru_cache(maxsize=16)
-def gloh_pattern(step: float, soft: bool = True) -> tuple[F32, I64, F32]:
-    """Return samples (2, S) in the unit disc, and (S, C) the cells each belongs to and with which weight.
+def _log_polar(step: float, soft: bool) -> _Pattern:
+    """Cell 0 is the disc; 1 to 8 are the sectors of the inner ring, 9 to 16 those of the outer one.
 
-    Cell 0 is the disc; 1 to 8 are the sectors of the inner ring, the first centred on the point's direction, the
-    others following counter-clockwise; 9 to 16 those of the outer ring. With `soft`, C is 4 and the weights of a
-    sample add up to 1.
+    The first sector is centred on the point's direction, the others follow counter-clockwise. With `soft` a sample is
+    shared between the two nearest rings and sectors, as far as pieces of 1/8 of the radius and 1/16 of a turn allow.
     """
-    pattern = _grid(step)
-    rho = np.hypot(*pattern.astype(np.float64))
-    place = np.arctan2(pattern[1], pattern[0]).astype(np.float64) * (SECTORS / (2 * math.pi))
+    samples = _grid(step)
+    rho = np.hypot(*samples.astype(np.float64))
+    place = np.arctan2(samples[1], samples[0]).astype(np.float64) * (SECTORS / (2 * math.pi))
     if not soft:
         ring = np.searchsorted([DISC, RING], rho)
-        sector = np.rint(place).astype(np.int64) % SECTORS
-        cells = np.where(ring == 0, 0, 1 + (ring - 1) * SECTORS + sector)[:, None]
-        return pattern, cells, np.ones(cells.shape, np.float32)
-    middles = [0.0, (DISC + RING) / 2, (RING + 1) / 2]
-    between = np.clip(np.interp(rho, middles, [0.0, 1.0, 2.0]), 0, 2)
+        piece = np.where(ring == 0, 0, 1 + (ring - 1) * SECTORS + np.rint(place).astype(np.int64) % SECTORS)
+        return _Pattern(samples, piece, np.eye(CELLS, dtype=np.float32))
+    out = np.minimum((rho * PIECE_RINGS).astype(np.int64), PIECE_RINGS - 1)
+    piece = out * 2 * SECTORS + np.floor(2 * place).astype(np.int64) % (2 * SECTORS)
+    ring, sector = np.divmod(np.arange(PIECE_RINGS * 2 * SECTORS), 2 * SECTORS)
+    rho, place = (ring + 0.5) / PIECE_RINGS, (sector + 0.5) / 2
+    between = np.interp(rho, [0.0, (DISC + RING) / 2, (RING + 1) / 2], [0.0, 1.0, 2.0])
     inner = np.minimum(np.floor(between), 1).astype(np.int64)
     outward = between - inner
     first = np.floor(place).astype(np.int64)
     onward = place - first
-    cells, shares = [], []
-    for ring, ring_share in ((inner, 1 - outward), (inner + 1, outward)):
-        for sector, sector_share in ((first % SECTORS, 1 - onward), ((first + 1) % SECTORS, onward)):
-            cells.append(np.where(ring == 0, 0, 1 + (ring - 1) * SECTORS + sector))
-            shares.append(ring_share * sector_share)
-    return pattern, np.column_stack(cells), np.column_stack(shares).astype(np.float32)
+    shares = np.zeros((len(ring), CELLS), np.float32)
+    for nearest, ring_share in ((inner, 1 - outward), (inner + 1, outward)):
+        for beside, sector_share in ((first, 1 - onward), (first + 1, onward)):
+            cell = np.where(nearest == 0, 0, 1 + (nearest - 1) * SECTORS + beside % SECTORS)
+            np.add.at(shares, (np.arange(len(ring)), cell), ring_share * sector_share)
+    return _Pattern(samples, piece, shares)
 
 
 def _grid(step: float) -> F32:

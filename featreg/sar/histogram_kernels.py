@@ -9,68 +9,69 @@ from featreg.jit import compiled
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
+I32 = NDArray[np.int32]
 I64 = NDArray[np.int64]
 
 
 @compiled
-def _sample(
-    magnitude: F32, direction: F32, width: int, height: int, x0: np.float32, y0: np.float32, c: np.float32,
-    s: np.float32, u: F32, v: F32, turn: np.float32, per_radian: np.float32, strength: F32, place: F32,
-) -> None:  # fmt: skip
-    """Read the flat fields at the turned pattern (u, v): strengths (0 outside the field) and places on the circle.
-
-    One gather and no branch per sample, so that the loop becomes vector code.
-    """
-    right, bottom = np.int32(width - 1), np.int32(height - 1)
-    half = np.float32(0.5)
+def _look_up(
+    x0: np.float32, y0: np.float32, c: np.float32, s: np.float32, width: int, height: int, u: F32, v: F32, at: I32
+) -> None:
+    """Flat indices of the pixels nearest to the turned pattern (u, v); -1 outside the field."""
+    right, bottom, half = np.float32(width - 1), np.float32(height - 1), np.float32(0.5)
     for k in range(u.shape[0]):
-        x = np.int32(np.floor(x0 + c * u[k] - s * v[k] + half))
-        y = np.int32(np.floor(y0 - s * u[k] - c * v[k] + half))
+        x = np.floor(x0 + c * u[k] - s * v[k] + half)
+        y = np.floor(y0 - s * u[k] - c * v[k] + half)
         inside = (x >= 0) & (y >= 0) & (x <= right) & (y <= bottom)
-        at = np.uint64(min(max(y, 0), bottom)) * np.uint64(width) + np.uint64(min(max(x, 0), right))
-        strength[k] = magnitude[at] if inside else np.float32(0)
-        place[k] = (direction[at] - turn) * per_radian
+        at[k] = np.int32(y) * np.int32(width) + np.int32(x) if inside else np.int32(-1)
+
+
+@compiled
+def _gather(field: F32, at: I32, values: F32) -> None:
+    for k in range(at.shape[0]):
+        values[k] = field[np.uint64(at[k])] if at[k] >= 0 else np.float32(0)
+
+
+@compiled
+def _split(place: F32, turn: np.float32, per_radian: np.float32, bins: np.float32) -> None:
+    """Turn directions into places on the circle of bins, 0 to below `bins`."""
+    for k in range(place.shape[0]):
+        t = (place[k] - turn) * per_radian
+        t += bins if t < 0 else np.float32(0)
+        place[k] = t - bins if t >= bins else t
 
 
 @compiled
 def pool(
     magnitude: F32, direction: F32, width: int, height: int, xy: F64, radius: F64, angle: F64, pattern: F32,
-    cells: I64, shares: F32, bins: int, out: F32,
+    piece: I64, out: F32,
 ) -> None:  # fmt: skip
-    """Add the gradients around each point to the histograms of its cells.
+    """Add the gradients around each point to the histograms of the pieces of a pattern.
 
     `magnitude`, `direction` (H * W,) are the flat fields, directions in radians counter-clockwise as seen, in
-    [0, 2 pi). `pattern` (2, S) holds the samples in units of the radius, y up; sample k belongs to the cells
-    `cells[k]` with the weights `shares[k]`, both (S, C). `out` is (N, cells * bins); a direction, relative to the
-    point's angle, is shared by the two nearest bins, bin 0 being centred on the point's own direction.
+    [0, 2 pi]. `pattern` (2, S) holds the samples in units of the radius, y up; sample k belongs to piece `piece[k]`.
+    `out` is (N, bins, pieces); a direction, relative to the point's angle, is shared by the two nearest bins, bin 0
+    being centred on the point's own direction.
     """
-    samples, many = cells.shape
+    samples = pattern.shape[1]
+    bins, pieces = out.shape[1], out.shape[2]
+    at = np.empty(samples, np.int32)
     strength, place = np.empty(samples, np.float32), np.empty(samples, np.float32)
     per_radian = np.float32(bins / (2 * np.pi))
     for i in range(xy.shape[0]):
         turn = angle[i] % (2 * np.pi)
         c, s = np.float32(radius[i] * np.cos(turn)), np.float32(radius[i] * np.sin(turn))
-        x0, y0 = np.float32(xy[i, 0]), np.float32(xy[i, 1])
-        _sample(
-            magnitude, direction, width, height, x0, y0, c, s, pattern[0], pattern[1], np.float32(turn), per_radian,
-            strength, place,
-        )  # fmt: skip
-        row = out[i]
+        _look_up(np.float32(xy[i, 0]), np.float32(xy[i, 1]), c, s, width, height, pattern[0], pattern[1], at)
+        _gather(magnitude, at, strength)
+        _gather(direction, at, place)
+        _split(place, np.float32(turn), per_radian, np.float32(bins))
+        row = out[i].reshape(bins * pieces)
         for k in range(samples):
-            low = np.floor(place[k])
-            upper = (place[k] - low) * strength[k]
-            lower = strength[k] - upper
-            first = int(low)
-            if first < 0:
-                first += bins
-            if first >= bins:
-                first -= bins
+            first = int(place[k])
+            upper = (place[k] - np.float32(first)) * strength[k]
             second = first + 1 if first + 1 < bins else 0
-            for j in range(many):
-                share = shares[k, j]
-                base = cells[k, j] * bins
-                row[base + first] += share * lower
-                row[base + second] += share * upper
+            row[np.uint64(first * pieces + piece[k])] += strength[k] - upper
+            row[np.uint64(second * pieces + piece[k])] += upper
 
 
 @compiled

@@ -38,7 +38,7 @@ def share_out(total: int, supply: Sequence[int], decay: float) -> list[int]:
     What a level cannot fill goes to the next finer one, and what the finest cannot to the coarser ones.
     """
     want = np.array([decay**-level for level in range(len(supply))])
-    counts = np.minimum(np.rint(want / want.sum() * total).astype(int), supply)
+    counts = np.minimum((want / want.sum() * total).astype(int), supply)
     for level in [*range(len(supply) - 1, -1, -1), *range(len(supply))]:
         counts[level] += max(0, min(supply[level] - counts[level], total - int(counts.sum())))
     return [int(count) for count in counts]

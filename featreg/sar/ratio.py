@@ -24,6 +24,8 @@ F32 = NDArray[np.float32]
 FLOOR = 1e-2
 # A side that holds less than this share of the other side's weight (border, nodata) gives no gradient.
 LEAST_SUPPORT = 0.02
+# An edge map that nowhere reaches this log ratio holds rounding errors.
+LEAST_EDGE = 1e-3
 # Pixels from which the quantiles of an edge map are taken.
 SAMPLE = 5_000
 
@@ -68,14 +70,18 @@ def _ratio_gradients(image: Image, alpha: float, floor: float) -> tuple[F32, F32
 def roewa(amplitude: F32, alpha: float, mask: BoolArray | None = None, floor: float = FLOOR) -> tuple[F32, F32]:
     """As `ratio_gradients`, of a plain (H, W) float32 array; `mask` is (H, W) bool, True = valid."""
     gx, gy = np.empty((2, *amplitude.shape), np.float32)
-    _means_to_ratios(amplitude, alpha, mask, floor, gx, gy, np.empty((0, amplitude.shape[1]), np.float32))
+    no_strength = np.empty((0, amplitude.shape[1]), np.float32)
     if mask is None:
+        _means_to_ratios(amplitude, alpha, floor, gx, gy, no_strength)
         gx[:, [0, -1]] = 0
         gy[[0, -1]] = 0
         return gx, gy
     # The weights that exist on either side are the same sums of the mask; their log ratio is taken off.
+    valid = mask.astype(np.float32)
+    mean = float(np.sum(amplitude * valid, dtype=np.float64)) / max(1, int(np.count_nonzero(mask)))
+    _means_to_ratios((amplitude + np.float32(floor * mean)) * valid, alpha, None, gx, gy, no_strength)
     wx, wy = np.empty((2, *amplitude.shape), np.float32)
-    _means_to_ratios(mask.astype(np.float32), alpha, mask, 1e-6, wx, wy, np.empty((0, amplitude.shape[1]), np.float32))
+    _means_to_ratios(valid, alpha, None, wx, wy, no_strength)
     limit = -math.log(LEAST_SUPPORT)
     for gradient, weights in ((gx, wx), (gy, wy)):
         gradient -= weights
@@ -84,38 +90,38 @@ def roewa(amplitude: F32, alpha: float, mask: BoolArray | None = None, floor: fl
 
 
 def roewa_strength(amplitude: F32, alpha: float, floor: float = FLOOR) -> F32:
-    """Return the (H, W) float32 length of `roewa`'s gradient of a plain array, without storing the gradient."""
+    """Return the (H, W) float32 length of `roewa`'s gradient of a plain array, to 1 %, without storing the gradient."""
     rows = np.empty((2, 1, amplitude.shape[1]), np.float32)
     strength = np.empty(amplitude.shape, np.float32)
-    _means_to_ratios(amplitude, alpha, None, floor, rows[0], rows[1], strength)
+    _means_to_ratios(amplitude, alpha, floor, rows[0], rows[1], strength)
     strength[[0, -1]] = 0
     strength[:, [0, -1]] = 0
     return strength
 
 
-def _means_to_ratios(
-    amplitude: F32, alpha: float, mask: BoolArray | None, floor: float, gx: F32, gy: F32, strength: F32
-) -> None:
-    """Run the recursions; without a mask the weights that exist on each side are known in closed form."""
+def _means_to_ratios(amplitude: F32, alpha: float, floor: float | None, gx: F32, gy: F32, strength: F32) -> None:
+    """Run the recursions on the amplitude plus `floor` of its mean, which adds that to every mean.
+
+    The weights that exist on each side, fewer near the border, are known in closed form. Without a floor the sums are
+    compared as they are: the weights are the caller's.
+    """
     if not (math.isfinite(alpha) and alpha > 0):
         raise ParameterError(f"alpha must be a positive number of pixels, got {alpha}")
+    import cv2
+
     from featreg.sar import ratio_kernels
 
     height, width = amplitude.shape
+    # Beyond this the weights are equal over any image, and in float32 the decay must stay below 1.
+    alpha = min(alpha, 1e5)
     decay = math.exp(-1.0 / alpha)
-    amplitude = np.ascontiguousarray(amplitude, np.float32)
-    sums = np.empty((4, height, width), np.float32)
-    left, right, up = sums[0], sums[1], sums[2:]
-    ratio_kernels.horizontal_sums(amplitude, np.float32(decay), left, right)
-    if mask is None:
-        balance = _side_weights(width, decay), _side_weights(height, decay)
-        mean = float(amplitude.mean())
-    else:
-        balance = np.zeros(width, np.float32), np.zeros(height, np.float32)
-        mean = float(amplitude.sum(dtype=np.float64)) / max(1, int(np.count_nonzero(mask)))
-    side = _two_sided_weights(height, decay) * decay / (1 - decay)
-    small = (max(floor * mean, 1e-30) * side).astype(np.float32)
-    ratio_kernels.log_ratios(left, right, np.float32(decay), small, *balance, up, gx, gy, strength)
+    up = np.empty((2, height, width), np.float32)
+    image = np.ascontiguousarray(amplitude, np.float32)
+    mean = float(cv2.mean(image)[0])
+    ratio_kernels.sums_from_above(image, np.float32((floor or 0.0) * mean), np.float32(decay), up)
+    shares = [np.ones(n, np.float32) if floor is None else _shares(n, alpha) for n in (width, height)]
+    tiny = np.float32(max(1e-9 * mean, 1e-30))
+    ratio_kernels.log_ratios(up, np.float32(decay), tiny, shares[0], shares[1], gx, gy, strength)
 
 
 def edge_strength(gx: F32, gy: F32, *, eq5: bool = False) -> F32:
@@ -152,18 +158,12 @@ def quantised_edges(image: Image, alpha: float, floor: float = FLOOR, eq5: bool 
     middle, high = sample.size // 2, int(0.999 * (sample.size - 1))
     ranked = np.partition(sample, [middle, high])
     top = min(float(ranked[high]), 5 * float(ranked[middle])) or float(ranked[high])
-    if not top > 0:
+    if not top > LEAST_EDGE:
         return np.zeros(image.shape, np.uint8)
     return np.asarray(cv2.convertScaleAbs(strength, alpha=255.0 / top), np.uint8)
 
 
-def _side_weights(count: int, decay: float) -> F32:
-    """log(weight after / weight before) of the pixels that exist beside each of `count` positions."""
-    i = np.arange(count)
-    before = 1 - decay ** np.maximum(i, 1)
-    return np.asarray(np.log(before[::-1] / before), np.float32)
-
-
-def _two_sided_weights(count: int, decay: float) -> NDArray[np.float64]:
-    i = np.arange(count)
-    return (2 - decay ** (i + 1) - decay ** (count - i)) / (1 - decay) - 1
+def _shares(count: int, alpha: float) -> F32:
+    """Weight of the pixels that exist after each of `count` positions over that of those before it."""
+    before = -np.expm1(-np.maximum(np.arange(count), 1) / alpha)
+    return np.asarray(before[::-1] / before, np.float32)

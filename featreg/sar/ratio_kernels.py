@@ -11,59 +11,92 @@ F32 = NDArray[np.float32]
 
 
 @compiled
-def horizontal_sums(image: F32, decay: np.float32, left: F32, right: F32) -> None:
-    """Fill `left` with causal sums (centre included) and `right` with anticausal sums (centre excluded) of each row.
+def _eight_rows(image: F32, y: int, offset: np.float32, decay: np.float32, left: F32, right: F32) -> None:
+    """Causal sums (centre included) and anticausal sums (centre excluded) of eight rows from `y` on.
 
-    Eight rows advance together, so that the recursions' latencies overlap.
+    The rows advance together, so that the recursions' latencies overlap.
+    """
+    width = image.shape[1]
+    a0 = a1 = a2 = a3 = a4 = a5 = a6 = a7 = np.float32(0)
+    for x in range(width):
+        a0 = (image[y, x] + offset) + decay * a0
+        a1 = (image[y + 1, x] + offset) + decay * a1
+        a2 = (image[y + 2, x] + offset) + decay * a2
+        a3 = (image[y + 3, x] + offset) + decay * a3
+        a4 = (image[y + 4, x] + offset) + decay * a4
+        a5 = (image[y + 5, x] + offset) + decay * a5
+        a6 = (image[y + 6, x] + offset) + decay * a6
+        a7 = (image[y + 7, x] + offset) + decay * a7
+        left[0, x] = a0
+        left[1, x] = a1
+        left[2, x] = a2
+        left[3, x] = a3
+        left[4, x] = a4
+        left[5, x] = a5
+        left[6, x] = a6
+        left[7, x] = a7
+    a0 = a1 = a2 = a3 = a4 = a5 = a6 = a7 = np.float32(0)
+    for x in range(width - 1, -1, -1):
+        right[0, x] = a0
+        right[1, x] = a1
+        right[2, x] = a2
+        right[3, x] = a3
+        right[4, x] = a4
+        right[5, x] = a5
+        right[6, x] = a6
+        right[7, x] = a7
+        a0 = decay * ((image[y, x] + offset) + a0)
+        a1 = decay * ((image[y + 1, x] + offset) + a1)
+        a2 = decay * ((image[y + 2, x] + offset) + a2)
+        a3 = decay * ((image[y + 3, x] + offset) + a3)
+        a4 = decay * ((image[y + 4, x] + offset) + a4)
+        a5 = decay * ((image[y + 5, x] + offset) + a5)
+        a6 = decay * ((image[y + 6, x] + offset) + a6)
+        a7 = decay * ((image[y + 7, x] + offset) + a7)
+
+
+@compiled
+def _one_row(row: F32, offset: np.float32, decay: np.float32, left: F32, right: F32) -> None:
+    a = np.float32(0)
+    for x in range(row.shape[0]):
+        a = (row[x] + offset) + decay * a
+        left[x] = a
+    a = np.float32(0)
+    for x in range(row.shape[0] - 1, -1, -1):
+        right[x] = a
+        a = decay * ((row[x] + offset) + a)
+
+
+@compiled
+def _advance(row: F32, decay: np.float32, before: F32, now: F32) -> None:
+    for x in range(row.shape[0]):
+        now[x] = row[x] + decay * before[x]
+
+
+@compiled
+def sums_from_above(image: F32, offset: np.float32, decay: np.float32, up: F32) -> None:
+    """Fill `up` (2, H, W) with the weighted sums of image + offset over all rows above and the own one.
+
+    up[0] is that of the pixels to the left and the own column, up[1] that of the pixels to the right. The sums of a
+    block of rows never leave the cache before they are summed downwards.
     """
     height, width = image.shape
-    blocks = height // 8 * 8
-    for y in range(0, blocks, 8):
-        a0 = a1 = a2 = a3 = a4 = a5 = a6 = a7 = np.float32(0)
-        for x in range(width):
-            a0 = image[y, x] + decay * a0
-            a1 = image[y + 1, x] + decay * a1
-            a2 = image[y + 2, x] + decay * a2
-            a3 = image[y + 3, x] + decay * a3
-            a4 = image[y + 4, x] + decay * a4
-            a5 = image[y + 5, x] + decay * a5
-            a6 = image[y + 6, x] + decay * a6
-            a7 = image[y + 7, x] + decay * a7
-            left[y, x] = a0
-            left[y + 1, x] = a1
-            left[y + 2, x] = a2
-            left[y + 3, x] = a3
-            left[y + 4, x] = a4
-            left[y + 5, x] = a5
-            left[y + 6, x] = a6
-            left[y + 7, x] = a7
-        a0 = a1 = a2 = a3 = a4 = a5 = a6 = a7 = np.float32(0)
-        for x in range(width - 1, -1, -1):
-            right[y, x] = a0
-            right[y + 1, x] = a1
-            right[y + 2, x] = a2
-            right[y + 3, x] = a3
-            right[y + 4, x] = a4
-            right[y + 5, x] = a5
-            right[y + 6, x] = a6
-            right[y + 7, x] = a7
-            a0 = decay * (image[y, x] + a0)
-            a1 = decay * (image[y + 1, x] + a1)
-            a2 = decay * (image[y + 2, x] + a2)
-            a3 = decay * (image[y + 3, x] + a3)
-            a4 = decay * (image[y + 4, x] + a4)
-            a5 = decay * (image[y + 5, x] + a5)
-            a6 = decay * (image[y + 6, x] + a6)
-            a7 = decay * (image[y + 7, x] + a7)
-    for y in range(blocks, height):
-        a = np.float32(0)
-        for x in range(width):
-            a = image[y, x] + decay * a
-            left[y, x] = a
-        a = np.float32(0)
-        for x in range(width - 1, -1, -1):
-            right[y, x] = a
-            a = decay * (image[y, x] + a)
+    left, right = np.empty((8, width), np.float32), np.empty((8, width), np.float32)
+    for start in range(0, height, 8):
+        count = min(8, height - start)
+        if count == 8:
+            _eight_rows(image, start, offset, decay, left, right)
+        else:
+            for k in range(count):
+                _one_row(image[start + k], offset, decay, left[k], right[k])
+        for k in range(count):
+            y = start + k
+            if y == 0:
+                up[0, 0] = left[0]
+                up[1, 0] = right[0]
+            else:
+                _advance(left[k], decay, up[0, y - 1], up[0, y])
+                _advance(right[k], decay, up[1, y - 1], up[1, y])
 
 
 @inlined
@@ -82,15 +115,10 @@ def fast_log(value: np.float32) -> np.float32:
 
 
 @compiled
-def _advance(row: F32, decay: np.float32, before: F32, now: F32) -> None:
-    for x in range(row.shape[0]):
-        now[x] = row[x] + decay * before[x]
-
-
-@compiled
-def _retreat(row: F32, decay: np.float32, state: F32) -> None:
-    for x in range(row.shape[0]):
-        state[x] = decay * (row[x] + state[x])
+def _retreat(now: F32, before: F32, decay: np.float32, state: F32) -> None:
+    """Go up one row: what that row alone adds is the difference of two sums from above."""
+    for x in range(now.shape[0]):
+        state[x] = decay * ((now[x] - decay * before[x]) + state[x])
 
 
 @compiled
@@ -100,22 +128,28 @@ def _sum(a: F32, b: F32, factor: np.float32, out: F32) -> None:
 
 
 @compiled
-def _log_ratio(above: F32, below: F32, floor: np.float32, balance: F32, out: F32) -> None:
-    for x in range(above.shape[0]):
-        out[x] = fast_log((above[x] + floor) / (below[x] + floor)) - balance[x]
+def _weighted_sum(a: F32, b: F32, weights: F32, out: F32) -> None:
+    for x in range(a.shape[0]):
+        out[x] = weights[x] * (a[x] + b[x])
 
 
 @compiled
-def _squared_log_ratio(above: F32, below: F32, floor: np.float32, balance: F32, out: F32) -> None:
+def _log_ratio(above: F32, below: F32, tiny: np.float32, out: F32) -> None:
+    for x in range(above.shape[0]):
+        out[x] = fast_log((above[x] + tiny) / (below[x] + tiny))
+
+
+@compiled
+def _squared_log_ratio(above: F32, below: F32, tiny: np.float32, out: F32) -> None:
     """Square of the log ratio by 2 atanh(u) = 2 (u + u^3 / 3 + u^5 / 5 + ...), u = difference / sum.
 
     To 1 % at ratios below 6, and growing with the ratio beyond; half the cost of the logarithm.
     """
     third, fifth, seventh = np.float32(1 / 3), np.float32(1 / 5), np.float32(1 / 7)
     for x in range(above.shape[0]):
-        u = (above[x] - below[x]) / (above[x] + below[x] + floor + floor)
+        u = (above[x] - below[x]) / (above[x] + below[x] + tiny)
         q = u * u
-        log = np.float32(2) * u * (np.float32(1) + q * (third + q * (fifth + q * seventh))) - balance[x]
+        log = np.float32(2) * u * (np.float32(1) + q * (third + q * (fifth + q * seventh)))
         out[x] = log * log
 
 
@@ -127,47 +161,41 @@ def _length(gx2: F32, gy2: F32, out: F32) -> None:
 
 @compiled
 def log_ratios(
-    left: F32, right: F32, decay: np.float32, floor: F32, balance_x: F32, balance_y: F32, up: F32,
-    gx: F32, gy: F32, strength: F32,
-) -> None:  # fmt: skip
-    """From the row sums to log(right / left) and log(below / above) of the weighted sums, or their length.
+    up: F32, decay: np.float32, tiny: np.float32, share_x: F32, share_y: F32, gx: F32, gy: F32, strength: F32
+) -> None:
+    """From the sums from above to log(right / left) and log(below / above) of the weighted means, or their length.
 
-    `up` (2, H, W) is scratch for the downward pass. `floor` (H,) is added to every sum, in units of the sums of that
-    row; `balance_x` (W,), `balance_y` (H,) are the log ratios of the weights that exist on the two sides. Where
-    `strength` is (H, W) it gets the length of the gradient and `gx`, `gy` are single rows; else it is (0, W). The short
-    loops stand in functions of their own: only so does the compiler prove them free of overlap and vectorise.
+    `share_x` (W,), `share_y` (H,) are the weights that exist after each position over those before it; `tiny` keeps 0/0
+    at 1. Where `strength` is (H, W) it gets the length of the gradient and `gx`, `gy` are single rows; else it is
+    (0, W). The short loops stand in functions of their own: only so does the compiler prove them free of overlap and
+    vectorise.
     """
-    height, width = left.shape
-    up[0, 0] = left[0]
-    up[1, 0] = right[0]
-    for y in range(1, height):
-        _advance(left[y], decay, up[0, y - 1], up[0, y])
-        _advance(right[y], decay, up[1, y - 1], up[1, y])
-    down_left = np.zeros(width, np.float32)
-    down_right = np.zeros(width, np.float32)
-    over = np.zeros(width, np.float32)
-    under = np.zeros(width + 1, np.float32)
-    level = np.zeros(width, np.float32)
+    height, width = up.shape[1], up.shape[2]
+    down_left, down_right = np.zeros(width, np.float32), np.zeros(width, np.float32)
+    over, under = np.zeros(width, np.float32), np.zeros(width + 1, np.float32)
+    nothing = np.zeros(width, np.float32)
+    # The sums left of column x are those up to column x - 1, one step decayed.
+    beside = np.ones(width, np.float32)
+    for x in range(1, width):
+        beside[x - 1] = decay * share_x[x]
     one = np.float32(1)
     only_length = strength.shape[0] > 0
     for y in range(height - 1, -1, -1):
-        _sum(up[0, y], down_left, decay, under[1:])
+        above_left = up[0, y - 1] if y > 0 else nothing
+        above_right = up[1, y - 1] if y > 0 else nothing
+        _weighted_sum(up[0, y], down_left, beside, under[1:])
         _sum(up[1, y], down_right, one, over)
         under[0] = 0
         if only_length:
-            _squared_log_ratio(over, under[:width], floor[y], balance_x, gx[0])
+            _squared_log_ratio(over, under[:width], tiny, gx[0])
         else:
-            _log_ratio(over, under[:width], floor[y], balance_x, gx[y])
-        if y > 0:
-            _sum(up[0, y - 1], up[1, y - 1], decay, under[:width])
-        else:
-            under[:] = 0
+            _log_ratio(over, under[:width], tiny, gx[y])
+        _sum(above_left, above_right, decay * share_y[y], under[:width])
         _sum(down_left, down_right, one, over)
-        level[:] = balance_y[y]
         if only_length:
-            _squared_log_ratio(over, under[:width], floor[y], level, gy[0])
+            _squared_log_ratio(over, under[:width], tiny, gy[0])
             _length(gx[0], gy[0], strength[y])
         else:
-            _log_ratio(over, under[:width], floor[y], level, gy[y])
-        _retreat(left[y], decay, down_left)
-        _retreat(right[y], decay, down_right)
+            _log_ratio(over, under[:width], tiny, gy[y])
+        _retreat(up[0, y], above_left, decay, down_left)
+        _retreat(up[1, y], above_right, decay, down_right)

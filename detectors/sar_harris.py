@@ -1,0 +1,152 @@
+"""SAR-Harris: corners of the ratio gradients of a SAR image at several scales."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from featreg.errors import ParameterError
+from featreg.interfaces import Detector
+from featreg.registry import register
+from featreg.sar.gradient_histograms import dominant_orientation, from_base, octave, ratio_field
+from featreg.sar.maxima import interpolated, local_maxima, parabola_peak, quadratic_peak
+from featreg.sar.pyramid import clear, share_out, to_base
+from featreg.sar.ratio import ratio_gradients
+from featreg.types import Features, FloatArray, Image, IntArray
+
+F32 = NDArray[np.float32]
+
+# A scale is computed on the coarsest halving of the image on which its alpha is at least so many pixels.
+COARSEST_GRID = 1.5
+# Standard deviations to which the Gaussian that smooths the matrix reaches.
+REACH = 2.5
+
+
+@dataclass(frozen=True, eq=False)
+class _Layer:
+    """One scale: the SAR-Harris response (h, w) on the grid of `level`, of which it takes every pixel."""
+
+    alpha: float
+    level: Image
+    response: F32
+
+
+@register("sar-harris")
+@dataclass(frozen=True)
+class SarHarris(Detector):
+    """Corners of the ratio gradients of a SAR image at several scales, with orientation and sub-pixel position.
+
+    Parameters
+    ----------
+    n_features : at most so many keypoints, shared out over the scales
+    scales, alpha, factor : how many scales there are, the exponential weight in pixels of the ROEWA means of the
+        finest, and the ratio of two neighbours
+    integration : standard deviation, in units of alpha, of the Gaussian that smooths the SAR-Harris matrix
+    d : weight of the squared trace in the response det - d trace^2
+    threshold : least response
+    floor : added to the means before their ratio is taken, relative to the image's mean amplitude
+    quota_decay : a scale gets `quota_decay` times fewer keypoints than the finer one before it
+    support : radius in units of alpha from which a keypoint is described; it must be free of nodata and border
+    finest : least alpha of the gradients from which an orientation is taken
+    subscale : interpolate the scale between neighbouring ones by a parabola through the responses
+
+    Notes
+    -----
+    F. Dellinger, J. Delon, Y. Gousseau, J. Michel, F. Tupin, "SAR-SIFT: a SIFT-like algorithm for SAR images", IEEE
+    TGRS 53 (2015) 453, DOI 10.1109/TGRS.2014.2323552: the ratio gradients (the logarithms of the ratios of
+    exponentially weighted means, so that x and y gradients have zero mean where there is no edge), the multi-scale
+    SAR-Harris matrix, smoothed by a Gaussian of sqrt(2) alpha, its response with d = 0.04, and local maxima in space
+    of each scale alpha_k = 2 * 2^(k / 3), k = 0 to 7.
+
+    Departures. The defaults begin at alpha = 1 and smooth by 0.8 alpha, since the position of a maximum is as blurred
+    as the response, and finer scales get a larger share of the budget: on Sentinel-1 pairs more than three times as
+    many correct matches as with the paper's values, which are parameters. One-sided means exclude the pixel itself.
+    Coarse scales are computed on an image halved one or more times, where their alpha is at least 1.5 pixels. The
+    position comes from a quadratic surface through the 3 x 3 responses, the scale from a parabola over the logarithm
+    of alpha; both stay at the pixel and the layer where the fit leaves it. A keypoint has one orientation.
+    """
+
+    n_features: int = 5000
+    scales: int = 8
+    alpha: float = 1.0
+    factor: float = 2 ** (1 / 3)
+    integration: float = 0.8
+    d: float = 0.04
+    threshold: float = 1e-4
+    floor: float = 0.01
+    quota_decay: float = 1.6
+    support: float = 12.0
+    finest: float = 2.0
+    subscale: bool = True
+
+    def __post_init__(self) -> None:
+        if self.n_features < 1 or self.scales < 1 or not self.factor > 1 or not self.quota_decay >= 1:
+            raise ParameterError(
+                "sar-harris needs n_features >= 1, scales >= 1, factor > 1 and quota_decay >= 1, got "
+                f"{self.n_features}, {self.scales}, {self.factor} and {self.quota_decay}"
+            )
+        if not (self.alpha > 0 and self.integration > 0 and self.support > 0 and self.finest > 0):
+            raise ParameterError(
+                "sar-harris needs alpha, integration, support and finest > 0, got "
+                f"{self.alpha}, {self.integration}, {self.support} and {self.finest}"
+            )
+        if not 0 <= self.d < 0.25 or not self.threshold >= 0 or not self.floor >= 0:
+            raise ParameterError(
+                "sar-harris needs 0 <= d < 0.25 (beyond, no response is positive), threshold >= 0 and floor >= 0, got "
+                f"{self.d}, {self.threshold} and {self.floor}"
+            )
+
+    def detect_features(self, image: Image) -> Features:
+        layers = [self._layer(image, self.alpha * self.factor**k) for k in range(self.scales)]
+        found = [self._maxima(layer, image) for layer in layers]
+        counts = share_out(self.n_features, [len(at) for at in found], self.quota_decay)
+        parts = []
+        for k, (layer, count) in enumerate(zip(layers, counts, strict=True)):
+            at = found[k][:count]
+            xy = to_base(quadratic_peak(layer.response, at), layer.level, image)
+            alpha = layer.alpha * self.factor ** self._sub_scale(image, layers, k, xy)
+            score = layer.response[at[:, 1], at[:, 0]].astype(np.float64)
+            angle = self._orientation(image, layer.alpha, xy)
+            parts.append(Features(xy, self.support * alpha, angle, score, np.full(len(at), k)))
+        everything = Features.concatenate(parts)
+        return everything.take(np.argsort(-everything.score, kind="stable"))
+
+    def _layer(self, image: Image, alpha: float) -> _Layer:
+        level, local = octave(image, alpha, COARSEST_GRID)
+        sigma = self.integration * local
+        return _Layer(alpha, level, level.derive(_response, alpha=local, floor=self.floor, sigma=sigma, d=self.d))
+
+    def _maxima(self, layer: _Layer, image: Image) -> IntArray:
+        reach = self.support * layer.alpha * layer.level.shape[1] / image.shape[1]
+        return local_maxima(layer.response, clear(layer.level, reach), self.threshold, self.n_features)
+
+    def _sub_scale(self, image: Image, layers: list[_Layer], k: int, xy: FloatArray) -> FloatArray:
+        """Where the response peaks between the neighbouring scales, in steps of the scale, -0.5 to 0.5."""
+        if not self.subscale or not 0 < k < len(layers) - 1:
+            return np.zeros(len(xy))
+        near = [interpolated(layer.response, from_base(xy, layer.level, image)) for layer in layers[k - 1 : k + 2]]
+        return parabola_peak(*near)
+
+    def _orientation(self, image: Image, alpha: float, xy: FloatArray) -> FloatArray:
+        level, local = octave(image, max(alpha, self.finest), COARSEST_GRID)
+        radius = np.full(len(xy), 0.5 * self.support * local)
+        return dominant_orientation(ratio_field(level, local, self.floor), from_base(xy, level, image), radius)
+
+
+def _response(level: Image, alpha: float, floor: float, sigma: float, d: float) -> F32:
+    """det - d trace^2 of the SAR-Harris matrix."""
+    import cv2
+
+    from featreg.sar import harris_kernels
+
+    gx, gy = ratio_gradients(level, alpha, floor)
+    maps = np.empty((3, *gx.shape), np.float32)
+    harris_kernels.products(gx, gy, maps)
+    side = 2 * max(1, math.ceil(REACH * sigma)) + 1
+    for product in maps:
+        cv2.GaussianBlur(product, (side, side), sigma, dst=product, borderType=cv2.BORDER_REFLECT_101)
+    harris_kernels.response(maps, np.float32(d))
+    return maps[0]

@@ -1,0 +1,399 @@
+"""Phase history of a synthetic aperture: what a radar measured, pulse by pulse, before any image is formed.
+
+Signal model: a scatterer of complex amplitude a at r adds ``a * exp(-4j pi f (|p - r| - r0) / c)`` to the sample of
+frequency f taken from antenna position p; lengths in metres in a right-handed frame about the scene centre, z up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from featreg.errors import InputError, ParameterError, PluginUnavailableError
+from featreg.types import FloatArray, column, read_only
+
+#: Speed of light, m/s.
+C = 299_792_458.0
+#: How far frequencies may be from evenly spaced, as a share of their spacing; float32 files round by 0.0004.
+UNEVEN = 0.01
+POLARISATIONS = ("HH", "HV", "VH", "VV")
+
+
+@dataclass(frozen=True, eq=False)
+class PhaseHistory:
+    """Samples of P pulses at F frequencies, and where the antenna was.
+
+    Parameters
+    ----------
+    samples : (P, F) complex64, motion-compensated to the scene centre (see the signal model above)
+    frequencies : (F,) float64 Hz, ascending and evenly spaced
+    positions : (P, 3) float64 m, antenna position; the scene centre is the origin
+    r0 : (P,) float64 m, range to the scene centre for which the samples are compensated
+    azimuth_deg : (P,) float64, of the antenna, counter-clockwise from +x, kept in [0, 360)
+    autofocus_range, autofocus_phase : (P,) float64 m and radians, a known correction that is not applied yet (see
+        `corrected`), or None
+    polarisation : "HH", "HV", "VH", "VV", or "" where unknown
+    name : where it came from
+
+    Raises
+    ------
+    InputError
+        Wrong shapes, values that are not finite, frequencies that are not ascending and evenly spaced.
+    """
+
+    samples: NDArray[np.complex64]
+    frequencies: FloatArray
+    positions: FloatArray
+    r0: FloatArray
+    azimuth_deg: FloatArray
+    autofocus_range: FloatArray | None = None
+    autofocus_phase: FloatArray | None = None
+    polarisation: str = ""
+    name: str = "phase history"
+
+    def __post_init__(self) -> None:
+        put = object.__setattr__
+        samples = np.ascontiguousarray(self.samples)
+        if samples.ndim != 2 or samples.dtype.kind != "c" or 0 in samples.shape:
+            raise InputError(
+                f"{self.name}: samples must be complex (pulses, frequencies), got {samples.dtype} {samples.shape}"
+            )
+        samples = samples.astype(np.complex64, copy=False).view()
+        if not np.isfinite(samples.sum(dtype=np.complex128)):
+            raise InputError(f"{self.name}: samples must be finite, got NaN or infinite ones")
+        put(self, "samples", read_only(samples))
+        pulses, count = samples.shape
+        put(self, "frequencies", self._column("frequencies", count))
+        steps = np.diff(self.frequencies)
+        if count < 2 or self.frequencies[0] <= 0 or not (np.abs(steps / steps.mean() - 1) < UNEVEN).all():
+            raise InputError(f"{self.name}: frequencies must be at least 2 positive, ascending and evenly spaced Hz")
+        positions = np.array(self.positions, np.float64)
+        if positions.shape != (pulses, 3) or not np.isfinite(positions).all():
+            raise InputError(f"{self.name}: positions must be finite ({pulses}, 3) m, got shape {positions.shape}")
+        put(self, "positions", read_only(positions))
+        for key in ("r0", "azimuth_deg", "autofocus_range", "autofocus_phase"):
+            if getattr(self, key) is not None:
+                put(self, key, self._column(key, pulses))
+        put(self, "azimuth_deg", read_only(np.mod(self.azimuth_deg, 360.0)))
+
+    def _column(self, key: str, rows: int) -> FloatArray:
+        try:
+            values = column(getattr(self, key), rows, f"{self.name}: {key}")
+        except TypeError as error:
+            raise InputError(f"{self.name}: {key} must be {rows} real numbers") from error
+        if not np.isfinite(values).all():
+            raise InputError(f"{self.name}: {key} must be finite, got NaN or infinite values")
+        return values
+
+    def __len__(self) -> int:
+        """Number of pulses."""
+        return len(self.samples)
+
+    @property
+    def spacing(self) -> float:
+        """Mean spacing of the frequencies, Hz."""
+        return float((self.frequencies[-1] - self.frequencies[0]) / (len(self.frequencies) - 1))
+
+    @property
+    def reference_frequency(self) -> float:
+        """The middle frequency of the evenly spaced band, Hz: sample F // 2."""
+        return float(self.frequencies[0] + self.spacing * (len(self.frequencies) // 2))
+
+    @property
+    def relative_azimuth_deg(self) -> FloatArray:
+        """(P,) degrees from the middle of the aperture, in (-180, 180]; no jump where the circle closes."""
+        mean = np.rad2deg(np.angle(np.exp(1j * np.deg2rad(self.azimuth_deg)).sum()))
+        off = 180.0 - np.mod(180.0 - (self.azimuth_deg - mean), 360.0)
+        return np.asarray(off - (off.min() + off.max()) / 2)
+
+    @property
+    def central_pulse(self) -> int:
+        """Row of the pulse nearest to the middle of the aperture."""
+        return int(np.abs(self.relative_azimuth_deg).argmin())
+
+    def take(self, rows: NDArray[Any]) -> Self:
+        """The pulses of the given rows (indices or a bool mask), in that order."""
+
+        def of(values: FloatArray | None) -> FloatArray | None:
+            return None if values is None else values[rows]
+
+        return replace(
+            self,
+            samples=self.samples[rows],
+            positions=self.positions[rows],
+            r0=self.r0[rows],
+            azimuth_deg=self.azimuth_deg[rows],
+            autofocus_range=of(self.autofocus_range),
+            autofocus_phase=of(self.autofocus_phase),
+        )
+
+    def select(self, start_deg: float, stop_deg: float) -> Self:
+        """The pulses with azimuth in [start, stop), counter-clockwise from start and in that order.
+
+        ``select(358, 2)`` and ``select(-2, 2)`` are the same four degrees.
+
+        Raises
+        ------
+        InputError
+            There is no pulse in that range.
+        """
+        offset, width = _offsets(self.azimuth_deg, start_deg, stop_deg)
+        rows = np.argsort(offset, kind="stable")
+        rows = rows[offset[rows] < width]
+        if not len(rows):
+            first, last = self.azimuth_deg.min(), self.azimuth_deg.max()
+            raise InputError(
+                f"{self.name}: no pulse between azimuth {start_deg:g} and {stop_deg:g} degrees; "
+                f"it holds {len(self)} from {first:.3f} to {last:.3f}"
+            )
+        return self.take(rows)
+
+    def corrected(self) -> Self:
+        """With the known autofocus correction applied: `autofocus_range` added to r0, the phase to the samples.
+
+        The correction is one of the file's author: it moves the image by the mean range correction, and is not
+        better than none on every image. Where there is none, the same object is returned.
+        """
+        if self.autofocus_range is None and self.autofocus_phase is None:
+            return self
+        samples, r0 = self.samples, self.r0
+        if self.autofocus_phase is not None:
+            samples = samples * np.exp(1j * self.autofocus_phase).astype(np.complex64)[:, None]
+        if self.autofocus_range is not None:
+            r0 = r0 + self.autofocus_range
+        return replace(self, samples=samples, r0=r0, autofocus_range=None, autofocus_phase=None)
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[PhaseHistory]) -> PhaseHistory:
+        """The pulses of all parts, one after the other.
+
+        Raises
+        ------
+        InputError
+            No parts, or parts of different frequencies or polarisations. A correction survives if all parts have it.
+        """
+        if not parts:
+            raise InputError("nothing to concatenate, at least one phase history is needed")
+        first = parts[0]
+        for other in parts[1:]:
+            same = len(other.frequencies) == len(first.frequencies)
+            if not same or np.abs(other.frequencies - first.frequencies).max() > UNEVEN * first.spacing:
+                raise InputError(f"{other.name}: has other frequencies than {first.name}; use them one by one")
+            if other.polarisation != first.polarisation:
+                raise InputError(
+                    f"{other.name} is '{other.polarisation}' and {first.name} '{first.polarisation}'; "
+                    "state one polarisation"
+                )
+
+        def joined(key: str) -> Any:
+            found = [getattr(part, key) for part in parts]
+            return None if any(values is None for values in found) else np.concatenate(found)
+
+        keys = ("samples", "positions", "r0", "azimuth_deg", "autofocus_range", "autofocus_phase")
+        return replace(first, **{key: joined(key) for key in keys})
+
+
+def _offsets(azimuth_deg: FloatArray, start_deg: float, stop_deg: float) -> tuple[FloatArray, float]:
+    """Degrees counter-clockwise from start of every pulse, and the width of the range (0, 360]."""
+    if not np.isfinite([start_deg, stop_deg]).all():
+        raise ParameterError(f"azimuth must be two numbers in degrees, got {start_deg} and {stop_deg}")
+    width = 360.0 if stop_deg - start_deg >= 360 else (stop_deg - start_deg) % 360.0
+    return np.mod(azimuth_deg - start_deg, 360.0), width
+
+
+def read_phase_history(
+    paths: str | Path | Iterable[str | Path],
+    *,
+    azimuth: tuple[float, float] | None = None,
+    polarisation: str | None = None,
+) -> PhaseHistory:
+    """Read the phase history of one collection.
+
+    Parameters
+    ----------
+    paths : one file, several, or a folder: MATLAB files of the AFRL Gotcha data set (all ``.mat`` files of a folder),
+        or CPHD files, which need the extra ``featreg[sicd]``
+    azimuth : (start, stop) in degrees, see `PhaseHistory.select`; None reads every pulse
+    polarisation : "HH", "HV", "VH" or "VV": files of another one, by their name, are left out, and a CPHD channel of
+        that one is taken; None needs files of one polarisation and CPHD of one channel
+
+    Returns
+    -------
+    PhaseHistory
+        Pulses in the order of the file names, or from `azimuth` start on. For CPHD: about the first reference point,
+        x to the east, y to the north, z up.
+
+    Raises
+    ------
+    InputError
+        A file is missing, is not of these kinds, lacks a field, or holds no pulse of that azimuth or polarisation.
+    PluginUnavailableError
+        A CPHD file, and the extra ``sicd`` is not installed.
+
+    Notes
+    -----
+    Gotcha files keep positions and r0 as float32: at 10 km, r0 is rounded by up to 0.7 mm, 0.3 rad of two-way phase
+    from pulse to pulse, which blurs. Where r0 is the distance |p| but for that rounding, |p| is computed afresh: the
+    rounding of p itself is harmless, because the same p stands in both ranges of the signal model.
+    """
+    if polarisation is not None and polarisation not in POLARISATIONS:
+        raise ParameterError(f"polarisation must be one of {', '.join(POLARISATIONS)}, got {polarisation!r}")
+    files = _files(paths, polarisation)
+    parts = []
+    for path in files:
+        whole = _read_cphd(path, polarisation) if path.suffix.lower() == ".cphd" else _read_gotcha(path)
+        if azimuth is not None:
+            offset, width = _offsets(whole.azimuth_deg, *azimuth)
+            if not (offset < width).any():
+                continue
+            whole = whole.select(*azimuth)  # at once, so that a long collection never stands in memory whole
+        parts.append(whole)
+    if not parts:
+        raise InputError(f"none of {len(files)} files ({files[0]} ...) holds a pulse of azimuth {azimuth}")
+    joined = PhaseHistory.concatenate(parts)
+    return joined if azimuth is None else joined.select(*azimuth)
+
+
+def _files(paths: str | Path | Iterable[str | Path], polarisation: str | None) -> list[Path]:
+    given = [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
+    files = [file for path in given for file in (sorted(path.glob("*.mat")) if path.is_dir() else [path])]
+    if polarisation is not None:
+        files = [file for file in files if _polarisation_of(file) in ("", polarisation)]
+    if not files:
+        wanted = "phase history" if polarisation is None else f"{polarisation} phase history"
+        raise InputError(f"{', '.join(map(str, given)) or 'no path'}: no file of {wanted} there")
+    for file in files:
+        if not file.is_file():
+            raise InputError(f"{file}: no such file; give the path of an existing phase history")
+        if file.suffix.lower() not in (".mat", ".cphd"):
+            raise InputError(f"{file}: suffix '{file.suffix}' is no phase history; give .mat (Gotcha) or .cphd")
+    return files
+
+
+def _polarisation_of(path: Path) -> str:
+    last = path.stem.rpartition("_")[2].upper()
+    return last if last in POLARISATIONS else ""
+
+
+def _read_gotcha(path: Path) -> PhaseHistory:
+    from scipy.io import loadmat
+
+    try:
+        content: Mapping[str, Any] = loadmat(path, variable_names=["data"])
+    except Exception as error:  # on foreign or broken bytes scipy raises nearly anything
+        raise InputError(f"{path}: cannot be read as a MATLAB 5 file ({type(error).__name__})") from error
+    data = content.get("data")
+    if data is None or data.dtype.names is None or data.size != 1:
+        raise InputError(f"{path}: holds no structure 'data'; a phase-history file of the Gotcha data set is needed")
+    record = data.reshape(-1)[0]
+    missing = [key for key in ("fp", "freq", "x", "y", "z", "r0", "th") if key not in data.dtype.names]
+    if missing:
+        held = ", ".join(data.dtype.names)
+        raise InputError(f"{path}: data lacks the field {', '.join(missing)}; it holds {held}")
+    try:
+        rows = {key: np.asarray(record[key], np.float64).ravel() for key in ("freq", "x", "y", "z", "r0", "th")}
+        samples = np.asarray(record["fp"]).T
+        correction = _gotcha_autofocus(record["af"]) if "af" in data.dtype.names else (None, None)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{path}: a field of data is not numeric; Gotcha phase history is needed") from error
+    sizes = {key: len(rows[key]) for key in ("x", "y", "z", "r0", "th")}
+    if samples.ndim != 2 or samples.shape != (sizes["x"], len(rows["freq"])) or len(set(sizes.values())) > 1:
+        listing = ", ".join(f"{key} {size}" for key, size in sizes.items())
+        raise InputError(f"{path}: fp {samples.shape[::-1]} does not fit freq {len(rows['freq'])}, {listing}")
+    positions = np.column_stack([rows["x"], rows["y"], rows["z"]])
+    return PhaseHistory(
+        samples,
+        rows["freq"],
+        positions,
+        _unrounded(rows["r0"], positions),
+        rows["th"],
+        *correction,
+        polarisation=_polarisation_of(path),
+        name=str(path),
+    )
+
+
+def _unrounded(r0: FloatArray, positions: FloatArray) -> FloatArray:
+    """|p| where r0 is nothing but |p| rounded to float32, else r0; see `read_phase_history`."""
+    distance = np.linalg.norm(positions, axis=1)
+    return distance if (np.abs(r0 - distance) <= np.finfo(np.float32).eps * distance).all() else r0
+
+
+def _gotcha_autofocus(field: Any) -> tuple[FloatArray | None, FloatArray | None]:
+    """(P,) range and phase correction, None where the file holds none."""
+    names = field.dtype.names or ()
+    if field.size != 1 or not {"r_correct", "ph_correct"} <= set(names):
+        return None, None
+    record = field.reshape(-1)[0]
+    found = (np.asarray(record[key], np.float64).ravel() for key in ("r_correct", "ph_correct"))
+    correction, phase = found
+    return correction, phase
+
+
+def _read_cphd(path: Path, polarisation: str | None) -> PhaseHistory:
+    """One channel of a CPHD 1.x file in the frequency domain, collected about one fixed reference point."""
+    try:
+        cphd, wgs84 = import_module("sarkit.cphd"), import_module("sarkit.wgs84")
+    except ImportError as error:
+        raise PluginUnavailableError(
+            f"{path}: CPHD needs sarkit ({error}); install it with: pip install 'featreg[sicd]'"
+        ) from error
+    try:
+        with path.open("rb") as file, cphd.Reader(file) as reader:
+            tree = reader.metadata.xmltree
+            channel, found = _cphd_channel(path, tree, polarisation)
+            signal, pvp = reader.read_channel(channel)
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(f"{path}: is no CPHD file or a broken one ({type(error).__name__}: {error})") from error
+    if tree.findtext("{*}Global/{*}DomainType") != "FX" or signal.ndim != 2:
+        raise InputError(f"{path}: uncompressed samples in the frequency domain (DomainType FX) are needed")
+    good = pvp["SIGNAL"] == 1 if "SIGNAL" in pvp.dtype.names else np.ones(len(pvp), np.bool_)
+    pvp, signal = pvp[good], signal[good]
+    if not len(pvp):
+        raise InputError(f"{path}: channel {channel} holds no valid pulse")
+    start, step, centre = (np.asarray(pvp[key], np.float64) for key in ("SC0", "SCSS", "SRPPos"))
+    top = start + step * (signal.shape[1] - 1)
+    if max(np.ptp(start), np.ptp(top)) > UNEVEN * step[0] or np.abs(centre - centre[0]).max() > 1e-3:
+        raise InputError(f"{path}: frequencies or reference point change from pulse to pulse, fixed ones are needed")
+    samples: NDArray[Any] = signal
+    if signal.dtype.names:  # pairs of integers
+        real, imaginary = (signal[name].astype(np.float32) for name in signal.dtype.names)
+        samples = real + 1j * imaginary
+    if "AmpSF" in pvp.dtype.names:
+        samples = samples * np.asarray(pvp["AmpSF"], np.float32)[:, None]
+    if int(tree.findtext("{*}Global/{*}SGN")) > 0:  # the sign of the phase of a later echo; ours is negative
+        samples = samples.conj()
+    place = wgs84.cartesian_to_geodetic(centre[0])
+    axes = np.stack([wgs84.east(place), wgs84.north(place), wgs84.up(place)])
+    antenna = (np.asarray(pvp["TxPos"], np.float64) + np.asarray(pvp["RcvPos"], np.float64)) / 2
+    positions = (antenna - centre) @ axes.T
+    return PhaseHistory(
+        samples.astype(np.complex64),
+        start[0] + step[0] * np.arange(signal.shape[1]),
+        positions,
+        np.linalg.norm(positions, axis=1),
+        np.rad2deg(np.arctan2(positions[:, 1], positions[:, 0])),
+        polarisation=found,
+        name=str(path),
+    )
+
+
+def _cphd_channel(path: Path, tree: Any, polarisation: str | None) -> tuple[str, str]:
+    """Identifier and polarisation of the one channel asked for."""
+    channels = {}
+    for node in tree.findall("{*}Channel/{*}Parameters"):
+        sent, received = (node.findtext(f"{{*}}Polarization/{{*}}{key}") or "" for key in ("TxPol", "RcvPol"))
+        channels[node.findtext("{*}Identifier")] = sent + received if sent + received in POLARISATIONS else ""
+    wanted = [key for key, value in channels.items() if polarisation in (None, value)]
+    if len(wanted) != 1:
+        listing = ", ".join(f"{key} ({value or 'unknown'})" for key, value in channels.items())
+        raise InputError(f"{path}: one channel is needed; state the polarisation of one of {listing or 'no channel'}")
+    return wanted[0], channels[wanted[0]]
