@@ -6,9 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from featreg.errors import ParameterError
 from featreg.interfaces import Descriptor
 from featreg.registry import register
 from featreg.sar.log_gabor import LogGabor
@@ -33,12 +31,13 @@ class MaxIndexMap(Descriptor):
     multiplier: float = 1.6
     bandwidth: float = 0.75
     noise: float = 1.0
+    floor: float = 0.3
 
     def describe_features(self, image: Image, features: Features) -> Features:
         from featreg.sar import index_map_kernels as k
 
         bank = LogGabor(self.scales, self.orientations, self.min_wavelength, self.multiplier, self.bandwidth)
-        largest, _, index, mask = congruency_maps(image, bank, Congruency(self.noise))
+        largest, _, index, mask = congruency_maps(image, bank, Congruency(self.noise, floor=self.floor))
         n = len(features)
         angle = features.angle
         common = n > 0 and (angle == angle[0]).all()
@@ -57,7 +56,6 @@ class MaxIndexMap(Descriptor):
         votes[:, O] = 16
         sums = np.empty((image.shape[0] + 1, image.shape[1] + 1, O + 1), np.int32)
         if self.weight > 0:
-            import cv2
 
             top = np.quantile(largest[::7, ::7][mask[::7, ::7]], 0.95)
             wt = (

@@ -79,7 +79,7 @@ class OpenCVDescriptor(Descriptor):
         return hash((self.name, *self.parameters.values()))
 
     def describe_features(self, image: Image, features: Features) -> Features:
-        """Return the features with descriptors, in the order given, those outside or too near the border dropped.
+        """Return the features with descriptors, in the order given, those outside, too near the border or on a flat patch dropped.
 
         Raises
         ------
@@ -119,7 +119,9 @@ class OpenCVDescriptor(Descriptor):
             rows = np.arange(len(used))
         else:
             raise InputError(f"OpenCV's {algorithm.creator} lost {len(used) - len(kept)} of its keypoints")
+        # KAZE divides by the length of a descriptor, which a flat patch does not have.
         order = np.argsort(rows, kind="stable")
+        order = order[np.isfinite(descriptors[order]).all(axis=1)]
         turned, sent, rows = np.array([k.angle for k in kept])[order], sent[rows[order]], within[rows[order]]
         dtype: Any = np.uint8 if descriptors.dtype == np.uint8 else np.float32
         return replace(

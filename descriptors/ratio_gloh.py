@@ -1,56 +1,74 @@
-"""Ratio GLOH: histograms of ratio gradients in log-polar cells around a keypoint."""
+"""Ratio GLOH: histograms of ratio gradients in log-polar cells around a keypoint, the descriptor of SAR-SIFT."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from featreg.errors import ParameterError
 from featreg.interfaces import Descriptor
 from featreg.registry import register
-from featreg.sar.gradient_histograms import gloh, normalised, octave, ratio_field
+from featreg.sar.gradient_histograms import LENGTH, from_base, gloh, normalised, octave, ratio_field
 from featreg.types import Features, Image
 
 
 @register("ratio-gloh")
 @dataclass(frozen=True)
 class RatioGloh(Descriptor):
+    """Log-polar histograms (17 cells, 8 directions) of ROEWA ratio gradients, in the keypoint's direction.
+
+    Parameters
+    ----------
+    support : the gradients' alpha is the keypoint's scale (the descriptor's radius) divided by this
+    finest : least alpha in pixels
+    factor : ratio of neighbouring alphas, of which the nearest is taken, starting at `finest`
+    floor : added to the means before their ratio is taken, relative to the image's mean amplitude
+    step : distance of the samples relative to the radius
+    soft : share a sample between neighbouring cells instead of giving it to one
+    root : root of the share of each component instead of clipping (RootSIFT)
+
+    Notes
+    -----
+    F. Dellinger, J. Delon, Y. Gousseau, J. Michel, F. Tupin, "SAR-SIFT: a SIFT-like algorithm for SAR images", IEEE
+    TGRS 53 (2015) 453, DOI 10.1109/TGRS.2014.2323552: circular neighbourhood of radius 12 alpha, log-polar sectors,
+    histograms of the directions of the ratio gradient weighted by its magnitude, normalised and clipped as in SIFT.
+
+    Departures: directions are counted relative to the keypoint's; samples are shared between cells; alpha never falls
+    below `finest`, because finer gradients are speckle; samples lie 1.5 alpha apart by default, where the gradients
+    are nearly independent. Fields of large alpha are computed on a halved image. No keypoint is dropped: what lies
+    outside the image or on nodata counts as no gradient.
+    """
+
     support: float = 12.0
+    finest: float = 2.0
     factor: float = 2 ** (1 / 3)
     floor: float = 0.01
     step: float = 0.125
-    root: bool = False
     soft: bool = True
-    grow: float = 1.0
-    fine: float = 2.0
+    root: bool = False
+
+    def __post_init__(self) -> None:
+        if not (self.support > 0 and self.finest > 0 and self.factor > 1 and self.floor >= 0):
+            raise ParameterError(
+                "ratio-gloh needs support > 0, finest > 0, factor > 1 and floor >= 0, got "
+                f"{self.support}, {self.finest}, {self.factor} and {self.floor}"
+            )
+        if not 0.01 <= self.step <= 0.25:
+            raise ParameterError(f"ratio-gloh needs 0.01 <= step <= 0.25, got {self.step}")
 
     def describe_features(self, image: Image, features: Features) -> Features:
-        out = np.zeros((len(features), 136), np.float32)
-        wanted = features.scale / self.support
-        number = np.maximum(np.rint(np.log(np.maximum(wanted, 1e-9) / self.fine) / math.log(self.factor)), 0).astype(
-            int
-        )
+        histograms = np.zeros((len(features), LENGTH), np.float32)
+        steps = np.log(np.maximum(features.scale / self.support / self.finest, 1)) / math.log(self.factor)
+        number = np.rint(np.minimum(steps, math.log(max(image.shape)) / math.log(self.factor))).astype(np.int64)
         for n in np.unique(number):
             rows = np.flatnonzero(number == n)
-            level, alpha = octave(image, self.fine * self.factor ** int(n))
-            s = np.array(level.shape[::-1]) / image.shape[::-1]
-            xy = (features.xy[rows] + 0.5) * s - 0.5
-            out[rows] = gloh(
-                ratio_field(level, alpha, self.floor),
-                xy,
-                features.scale[rows] * s[0] * self.grow,
-                features.angle[rows],
-                self.step,
-                self.soft,
-            )
-        return Features(
-            features.xy,
-            features.scale,
-            features.angle,
-            features.score,
-            features.level,
-            normalised(out, self.root),
-            "l2",
-            np.arange(len(features)),
-        )
+            level, alpha = octave(image, self.finest * self.factor ** int(n))
+            smaller = level.shape[1] / image.shape[1]
+            histograms[rows] = gloh(
+                ratio_field(level, alpha, self.floor), from_base(features.xy[rows], level, image),
+                features.scale[rows] * smaller, features.angle[rows], self.step, self.soft,
+            )  # fmt: skip
+        described = normalised(histograms, self.root)
+        return replace(features, descriptors=described, norm="l2", index=np.arange(len(features)))

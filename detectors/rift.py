@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from featreg.errors import ParameterError
 from featreg.interfaces import Detector
 from featreg.registry import register
 from featreg.sar.corners import fast_corners, orientation, refine_centroid
@@ -32,13 +31,14 @@ class PhaseCongruency(Detector):
     multiplier: float = 1.6
     bandwidth: float = 0.75
     noise: float = 1.0
+    floor: float = 0.3
     blur: float = 0.0
     dedupe: float = 0.0
     top: float = 0.99
 
     def detect_features(self, image: Image) -> Features:
         bank = LogGabor(self.scales, self.orientations, self.min_wavelength, self.multiplier, self.bandwidth)
-        largest, smallest, _, mask = congruency_maps(image, bank, Congruency(self.noise))
+        largest, smallest, _, mask = congruency_maps(image, bank, Congruency(self.noise, floor=self.floor))
         allowed = clear(without_rim(image), self.support)
         found = []
         import cv2

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 from featreg._version import __version__
 
 if TYPE_CHECKING:
-    from featreg.compare import compare
+    from featreg.comparison import compare
     from featreg.errors import FeatregError
     from featreg.evaluation import evaluate
-    from featreg.extractor import extractor
+    from featreg.extraction import extractor
     from featreg.feature_matcher import FeatureMatcher
     from featreg.interfaces import (
         Descriptor,
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from featreg.registry import available, create, register, register_family
     from featreg.resample import warp
     from featreg.types import Features, Image, Matches, Registration
-    from featreg.warm_up import warm_up
+    from featreg.warming import warm_up
 
 # Public name -> module that defines it; each is imported when first asked for, so that `import featreg` is quick.
 _HOMES = {
@@ -49,15 +49,15 @@ _HOMES = {
     "Registration": "types",
     "as_image": "io",
     "available": "registry",
-    "compare": "compare",
+    "compare": "comparison",
     "create": "registry",
     "evaluate": "evaluation",
-    "extractor": "extractor",
+    "extractor": "extraction",
     "fit": "matching",
     "match": "matching",
     "register": "registry",
     "register_family": "registry",
-    "warm_up": "warm_up",
+    "warm_up": "warming",
     "warp": "resample",
 }
 

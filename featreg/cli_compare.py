@@ -96,7 +96,7 @@ def compare(
     if resume is not None:
         _check_resume(resume)
     from featreg.assembly import assemble
-    from featreg.compare import compare as run
+    from featreg.comparison import compare as run
     from featreg.io import as_image
 
     for name in names:

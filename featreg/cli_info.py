@@ -118,9 +118,9 @@ def demo(
     folder = Path(out)
     check_folder(folder if folder.exists() else folder.absolute().parent, f"--out '{out}'")
     from featreg.demo import demonstrate
-    from featreg.warm_up import kernels_cached
+    from featreg.warming import ready
 
-    if not all(kernels_cached().values()):
+    if not ready():
         typer.echo(f"{COMPILING} ...", err=True)
     made = demonstrate(folder, progress=progress)
     typer.echo("Two simulated SAR images of 600 x 600 pixels, 4 looks, turned by 6 degrees, scaled by 1.02:\n")

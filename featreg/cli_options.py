@@ -254,9 +254,9 @@ def counter(text: str) -> Callable[[int, int], None] | None:
 def announce_compiling() -> None:
     """Say that the first run takes longer, where someone looks and it will."""
     if sys.stderr.isatty():
-        from featreg.warm_up import kernels_cached
+        from featreg.warming import ready
 
-        if not all(kernels_cached().values()):
+        if not ready():
             progress(COMPILING)
 
 

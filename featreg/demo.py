@@ -57,7 +57,7 @@ def demonstrate(
     InputError
         The folder cannot be written.
     """
-    from featreg.compare import compare
+    from featreg.comparison import compare
     from featreg.io import as_image, write_geotiff
     from featreg.matching import match
     from featreg.picture_panels import display

@@ -35,7 +35,7 @@ def examine() -> dict[str, Any]:
     reason}, ``extras`` {name: {missing, install}}.
     """
     from featreg import opencv, registry
-    from featreg.warm_up import kernels_cached
+    from featreg.warming import kernels_cached
 
     kernels = kernels_cached()
     unavailable = {f"{e.kind} {e.name}": e.unavailable for kind in registry.KINDS for e in registry.entries(kind)}
@@ -108,7 +108,7 @@ def _threads() -> dict[str, Any]:
 
 def _cache_folder() -> str:
     """Where the compiled kernels lie: beside their modules, unless that folder cannot be written."""
-    from featreg.warm_up import cache_folders
+    from featreg.warming import cache_folders
 
     folders = sorted(str(folder) for folder in cache_folders())
     home = str(Path.home())

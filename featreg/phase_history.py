@@ -70,8 +70,7 @@ class PhaseHistory:
         put(self, "samples", read_only(samples))
         pulses, count = samples.shape
         put(self, "frequencies", self._column("frequencies", count))
-        steps = np.diff(self.frequencies)
-        if count < 2 or self.frequencies[0] <= 0 or not (np.abs(steps / steps.mean() - 1) < UNEVEN).all():
+        if count < 2 or self.frequencies[0] <= 0 or not self._even():
             raise InputError(f"{self.name}: frequencies must be at least 2 positive, ascending and evenly spaced Hz")
         positions = np.array(self.positions, np.float64)
         if positions.shape != (pulses, 3) or not np.isfinite(positions).all():
@@ -90,6 +89,9 @@ class PhaseHistory:
         if not np.isfinite(values).all():
             raise InputError(f"{self.name}: {key} must be finite, got NaN or infinite values")
         return values
+
+    def _even(self) -> bool:
+        return bool((np.abs(np.diff(self.frequencies) - self.spacing) < UNEVEN * self.spacing).all())
 
     def __len__(self) -> int:
         """Number of pulses."""

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from featreg.compare import compare
+from featreg.comparison import compare
 from featreg.errors import CancelledError, InputError, ParameterError, UnknownNameError
 from featreg.geometry import Rigid
 from featreg.interfaces import FailedFit, Matcher

@@ -28,19 +28,19 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
     "geometry": ({"geometry"}, {"base", "types", "interfaces", "registry"}),
     "robust": ({"robust", "robust_kernels"}, {"base", "types", "interfaces", "registry", "geometry"}),
     "input": ({"readers", "scales", "masks", "io", "opencv"}, {"base", "types", "sar"}),
-    "simulate": ({"simulate"}, {"base", "types", "sar"}),
+    "simulate": ({"simulate", "simulate_circle", "phase_history"}, {"base", "types", "sar", "input"}),
     "plugins": (set(ROOMS), {"base", "types", "sar", "interfaces", "registry", "geometry", "robust", "input"}),
     "results": (
         {"result_file", "truth", "resample", "resample_kernels"},
         {"base", "types", "interfaces", "registry", "geometry", "input"},
     ),
     "pipeline": (
-        {"feature_matcher", "presets", "refine", "trust", "pipeline", "assembly", "matching", "extractor"},
+        {"feature_matcher", "presets", "refine", "trust", "pipeline", "assembly", "matching", "extraction"},
         {"base", "types", "sar", "interfaces", "registry", "geometry", "robust", "input", "simulate"},
     ),
     "evaluation": (
-        {"evaluation", "compare", "comparison", "table", "prediction_cache", "pictures", "picture_panels",
-         "picture_sheet", "warm_up", "warming"},
+        {"evaluation", "comparison", "table", "prediction_cache", "pictures", "picture_panels",
+         "picture_sheet", "warming"},
         {"base", "types", "sar", "interfaces", "registry", "geometry", "input", "simulate", "results", "pipeline"},
     ),
     "cli": (

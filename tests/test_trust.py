@@ -119,7 +119,7 @@ def test_a_mirror_image_is_unreliable_and_says_so() -> None:
     status, reason, gates = judge(matches, good)
     assert status == "unreliable"
     assert "mirror" in reason
-    assert [name for name, g in gates.items() if not g.passed] == ["scale"]
+    assert [name for name, g in gates.items() if not g.passed] == ["determinant"]
 
 
 def test_spread_counts_the_cells_that_are_hit() -> None:

@@ -170,7 +170,7 @@ def carrier(history: PhaseHistory, grid: GroundGrid | None = None) -> C64:
     off = ground - history.positions[p, :2]
     distance = np.sqrt((off**2).sum(axis=-1) + (grid.height - history.positions[p, 2]) ** 2) - history.r0[p]
     cycles = distance * (2 * frequency / C)
-    return np.exp(-2j * np.pi * (cycles - np.rint(cycles))).astype(np.complex64)
+    return np.asarray(np.exp(-2j * np.pi * (cycles - np.rint(cycles))), np.complex64)
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,6 +28,7 @@ DIRECTIONS = 8
 ORIENTATIONS = 36
 SECTORS = 8
 CELLS = 1 + 2 * SECTORS
+LENGTH = CELLS * DIRECTIONS
 #: Outer radii of the central disc and the inner ring, relative to that of the descriptor.
 DISC, RING = 0.25, 0.73
 # Pieces of equal weight into which the patterns are cut.

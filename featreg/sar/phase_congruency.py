@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.sar.log_gabor import LogGabor, responses
-from featreg.sar.speckle import log_amplitude, mean_amplitude
+from featreg.sar.speckle import mean_amplitude
 from featreg.types import BoolArray, Image
 
 F32 = NDArray[np.float32]
@@ -44,6 +44,7 @@ class Congruency:
     noise: float = 1.0
     cut_off: float = 0.5
     gain: float = 3.0
+    floor: float = 0.3
 
 
 def congruency_maps(
@@ -64,7 +65,7 @@ def _maps(image: Image, bank: LogGabor, congruency: Congruency) -> tuple[F32, F3
         noise = _noise(response[0], usable.mask, bank, congruency.noise)
         angle = math.pi * o / bank.orientations
         index_map_kernels.add_orientation(
-            response.view(np.float32), np.float32(noise), np.float32(EPS),
+            response.view(np.float32), np.float32(noise), np.float32(congruency.floor),
             np.float32(congruency.gain), np.float32(congruency.cut_off),
             np.float32(math.cos(angle)), np.float32(math.sin(angle)), moments, amplitudes[o],
         )  # fmt: skip
@@ -106,7 +107,8 @@ def _filled_view(image: Image, reach: int) -> F32:
     """The log-amplitude with invalid pixels at the mean of the valid ones around them."""
     import cv2
 
-    view = log_amplitude(image)
+    mean = np.float32(max(mean_amplitude(image), 1e-30))
+    view = np.log1p(image.amplitude / mean)
     if image.all_valid:
         return view
     valid = image.mask.astype(np.float32)

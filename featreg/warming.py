@@ -6,20 +6,21 @@ import importlib
 from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 from featreg.errors import FeatregError
 
 #: Small, yet with a scene in it that every method finds points on.
 SHAPE = (200, 200)
-#: Between them these use every matcher and filter of the presets: binary and real descriptors, with GMS and without.
-METHODS: tuple[Mapping[str, Any], ...] = (
-    {"method": "sar-orb", "refine": True},
-    {"method": "sar-orb", "refine": False},
-    {"method": "sar-orb-paper"},
-    {"method": "orb"},
-    {"method": "akaze"},
-    {"method": "sift"},
+#: The kernels of the default method, of the demonstration and of `warp`.
+DEFAULT = (
+    "featreg.resample_kernels",
+    "featreg.robust_kernels",
+    "featreg.sar.binary_kernels",
+    "featreg.sar.corner_kernels",
+    "featreg.sar.correlation_kernels",
+    "featreg.sar.motion_kernels",
+    "featreg.sar.paint_kernels",
+    "featreg.sar.ratio_kernels",
 )
 
 
@@ -32,28 +33,36 @@ def warm_up() -> None:
     import numpy as np
 
     from featreg.matching import match
+    from featreg.presets import PRESETS
     from featreg.resample import warp
     from featreg.simulate import sar_pair
 
     pair = sar_pair(SHAPE, rotation_deg=3.0, scale=1.0, shift=(2.0, 1.0))
     mask = np.ones(SHAPE, np.bool_)
     mask[:20, :30] = False
-    for keywords in METHODS:
+    for method in PRESETS:
         for valid in (None, mask):
-            result = match(pair.reference, pair.secondary, reference_mask=valid, secondary_mask=valid, **keywords)
-    if result.model:
-        for image in (pair.secondary, pair.secondary.astype(np.complex64)):
-            warp(result, image, like=SHAPE)
+            match(pair.reference, pair.secondary, method=method, reference_mask=valid, secondary_mask=valid)
+    result = match(pair.reference, pair.secondary, refine=False)
+    for image in (pair.secondary, pair.secondary.astype(np.complex64)):
+        warp(result, image, like=SHAPE)
 
 
 def kernels_cached() -> Mapping[str, bool]:
-    """Return module of kernels -> whether its compiled code lies on disk and is not older than its source.
+    """Return module of kernels -> whether compiled code of it lies on disk.
 
     Notes
     -----
-    One compiled function stands for its module; argument types that were never used compile when they first are.
+    One compiled function stands for its module. Argument types that were never used, and a source that changed since,
+    compile when they are first used.
     """
     return {module.__name__: _cached(module) for module in _kernel_modules()}
+
+
+def ready() -> bool:
+    """Whether the default method, the demonstration and `warp` run without compiling."""
+    cached = kernels_cached()
+    return all(cached.get(name, False) for name in DEFAULT)
 
 
 def _kernel_modules() -> list[ModuleType]:
@@ -80,6 +89,4 @@ def _folders(module: ModuleType) -> set[Path]:
 
 def _cached(module: ModuleType) -> bool:
     short = module.__name__.rpartition(".")[2]
-    source = Path(str(module.__file__)).stat().st_mtime
-    indexes = (index for folder in _folders(module) for index in folder.glob(f"{short}.*.nbi"))
-    return any(index.stat().st_mtime >= source for index in indexes)
+    return any(any(folder.glob(f"{short}.*.nbi")) for folder in _folders(module))
