@@ -79,7 +79,9 @@ class OpenCVDescriptor(Descriptor):
         return hash((self.name, *self.parameters.values()))
 
     def describe_features(self, image: Image, features: Features) -> Features:
-        """Return the features with descriptors, in the order given, those outside, too near the border or on a flat patch dropped.
+        """Return the features with descriptors, in the order given.
+
+        Those outside the image, too near its border or (KAZE) on a flat patch are dropped.
 
         Raises
         ------

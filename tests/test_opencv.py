@@ -450,10 +450,10 @@ class TestTable:
         for name, given, text in (
             ("orb", {"n_featurs": 5}, "did you mean 'n_features'"),
             ("orb", {"n_features": 0}, "at least 1"),
-            ("orb", {"n_features": "many"}, "type int"),
+            ("orb", {"n_features": "many"}, "a whole number"),
             ("orb", {"score_type": "best"}, "'harris', 'fast'"),
             ("sift", {"normalise": "log"}, "log-stretch"),
-            ("sift", {"enable_precise_upscale": 1}, "type bool"),
+            ("sift", {"enable_precise_upscale": 1}, "true or false"),
         ):
             with pytest.raises(ParameterError, match=text):
                 registry.create("detector", name, **given)
