@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from featreg.errors import ParameterError
 from featreg.interfaces import Descriptor
 from featreg.registry import register
-from featreg.sar.pyramid import SUPPORT, clear, pyramid
+from featreg.sar.pyramid import REACH, SUPPORT, clear, pyramid
 from featreg.sar.speckle import despeckled_bytes
 from featreg.types import Features, FloatArray, Image
 
@@ -76,7 +76,7 @@ class Brief(Descriptor):
             rows = np.flatnonzero(number == n)
             at = np.rint((features.xy[rows] + 0.5) * level.shape[::-1] / image.shape[::-1] - 0.5).astype(np.int64)
             inside = ((at >= 0) & (at < level.shape[::-1])).all(axis=1)
-            inside[inside] = clear(level, self.radius)[at[inside, 1], at[inside, 0]]
+            inside[inside] = clear(level, self.radius + REACH)[at[inside, 1], at[inside, 0]]
             rows, at = rows[inside], at[inside]
             if not len(rows):
                 continue

@@ -19,7 +19,7 @@ from featreg.types import BoolArray, FloatArray, Image, IntArray, Matches, Regis
 # Errors below this, in pixels, are not told apart by the robust fit.
 SCALE_PX = 0.3
 # Rounds of the robust fit; the consensus before it is near the answer.
-ROUNDS = 5
+ROUNDS = 3
 
 
 @dataclass(frozen=True)

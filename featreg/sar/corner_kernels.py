@@ -78,7 +78,23 @@ def fast_scores(image: U8, threshold: int, first: int, step: int, score: U8) -> 
 
 
 @compiled
-def _peaks_of_row(above: U8, here: U8, below: U8, allowed: U8, peaks: U8) -> None:
+def score_of_rank(score: U8, rank: int) -> int:
+    """The score that about `rank` pixels reach, estimated from every eighth row."""
+    counts = np.zeros(256, np.int64)
+    for y in range(3, score.shape[0], 8):
+        row = score[y]
+        for x in range(row.shape[0]):
+            counts[row[x]] += 8
+    reached = 0
+    for s in range(255, 0, -1):
+        reached += counts[s]
+        if reached >= rank:
+            return s
+    return 0
+
+
+@compiled
+def _peaks_of_row(above: U8, here: U8, below: U8, allowed: U8, least: np.uint8, peaks: U8) -> None:
     """Keep a score that is the largest of its 3 x 3 neighbourhood (ties: the first in reading order), else 0."""
     for column in range(here.shape[0] - 2):
         x0 = np.uint64(column)
@@ -86,12 +102,12 @@ def _peaks_of_row(above: U8, here: U8, below: U8, allowed: U8, peaks: U8) -> Non
         s = here[x1]
         before = max(above[x0], above[x1], above[x2], here[x0])
         after = max(below[x0], below[x1], below[x2], here[x2])
-        peaks[x1] = s if (s > before) & (s >= after) & (allowed[x1] != 0) else np.uint8(0)
+        peaks[x1] = s if (s > before) & (s >= after) & (s >= least) & (allowed[x1] != 0) else np.uint8(0)
 
 
 @compiled
-def collect_maxima(score: U8, allowed: U8, at: I64, values: U8) -> int:
-    """Gather flat index and score of the local maxima at pixels with `allowed` != 0, in reading order; return how many.
+def collect_maxima(score: U8, allowed: U8, least: int, at: I64, values: U8) -> int:
+    """Gather flat index and score of the maxima from `least` on where `allowed` is set, in reading order; return how many.
 
     Pixels are skipped eight at a time where nothing stands.
     """
@@ -100,7 +116,7 @@ def collect_maxima(score: U8, allowed: U8, at: I64, values: U8) -> int:
     eights = peaks.view(np.uint64)
     count = 0
     for y in range(1, height - 1):
-        _peaks_of_row(score[y - 1], score[y], score[y + 1], allowed[y], peaks[:width])
+        _peaks_of_row(score[y - 1], score[y], score[y + 1], allowed[y], np.uint8(least), peaks[:width])
         for k in range(eights.shape[0]):
             if eights[k] == 0:
                 continue

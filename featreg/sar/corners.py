@@ -11,12 +11,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from featreg.sar.pyramid import REACH
 from featreg.types import BoolArray, FloatArray, IntArray
 
-CENTROID_ITERATIONS = 10
+CENTROID_ITERATIONS = 8
 CORNER_ITERATIONS = 3
-# A corner that moves farther than this, in pixels, belongs to another one.
-REACH = 2.0
+# So many pixels of high score are looked at for each corner wanted, before all are.
+RANKS = 10
 
 
 def fast_corners(
@@ -42,7 +43,10 @@ def fast_corners(
     corner_kernels.fast_scores(np.ascontiguousarray(image), threshold, 3, 1, score)
     room = image.size // 4 + 1
     at, values = np.empty(room, np.int64), np.empty(room, np.uint8)
-    count = corner_kernels.collect_maxima(score, allowed.view(np.uint8), at, values)
+    least = corner_kernels.score_of_rank(score, RANKS * most)
+    count = corner_kernels.collect_maxima(score, allowed.view(np.uint8), least, at, values)
+    if count < most and least > 0:
+        count = corner_kernels.collect_maxima(score, allowed.view(np.uint8), 0, at, values)
     order = np.argsort(255 - values[:count], kind="stable")[:most]
     y, x = np.divmod(at[order], image.shape[1])
     return np.column_stack([x, y]), values[order]
@@ -51,13 +55,13 @@ def fast_corners(
 def orientation(image: NDArray[np.float32], xy: IntArray, radius: int) -> FloatArray:
     """Return the (N,) angle from each point to the intensity centroid of the disc of `radius` pixels around it.
 
-    Radians, counter-clockwise as seen. Every second pixel of the disc is used.
+    Radians, counter-clockwise as seen. Every third pixel of the disc along x and y is used.
     """
     from featreg.sar import corner_kernels
 
     angle = np.zeros(len(xy))
     xs, ys = np.ascontiguousarray(xy.T)
-    corner_kernels.intensity_centroid(image, xs, ys, radius, 2, angle)
+    corner_kernels.intensity_centroid(image, xs, ys, radius, 3, angle)
     return angle
 
 

@@ -12,6 +12,8 @@ from featreg.types import BoolArray, FloatArray, Image
 SMALLEST = 32
 # Radius, in pixels of a level, from which a point of that level is described.
 SUPPORT = 20.0
+# How far, in pixels of a level, the sub-pixel position of a point may lie from its pixel.
+REACH = 2.0
 
 
 def pyramid(image: Image, levels: int = 8, factor: float = 1.2) -> tuple[Image, ...]:
