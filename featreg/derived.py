@@ -57,7 +57,10 @@ class DerivedMaps:
             self._locks.clear()
 
     def _keep(self, key: Any, value: Any) -> None:
-        arrays = [a for a in (value if isinstance(value, tuple) else (value,)) if isinstance(a, np.ndarray)]
+        parts = value if isinstance(value, tuple) else (value,)
+        # A derived image, a pyramid level for example, counts with its pixels; what is derived from it is its own.
+        arrays = [getattr(part, "pixels", part) for part in parts]
+        arrays = [array for array in arrays if isinstance(array, np.ndarray)]
         for array in arrays:
             array.flags.writeable = False
         with self._lock:

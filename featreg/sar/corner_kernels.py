@@ -107,7 +107,7 @@ def _peaks_of_row(above: U8, here: U8, below: U8, allowed: U8, least: np.uint8, 
 
 @compiled
 def collect_maxima(score: U8, allowed: U8, least: int, at: I64, values: U8) -> int:
-    """Gather flat index and score of the maxima from `least` on where `allowed` is set, in reading order; return how many.
+    """Gather flat index and score of the maxima from `least` on where `allowed`, in reading order; return how many.
 
     Pixels are skipped eight at a time where nothing stands.
     """
