@@ -59,8 +59,8 @@ class DerivedMaps:
     def _keep(self, key: Any, value: Any) -> None:
         parts = value if isinstance(value, tuple) else (value,)
         # A derived image, a pyramid level for example, counts with its pixels; what is derived from it is its own.
-        arrays = [getattr(part, "pixels", part) for part in parts]
-        arrays = [array for array in arrays if isinstance(array, np.ndarray)]
+        held = [getattr(part, "pixels", part) for part in parts]
+        arrays = [array for array in held if isinstance(array, np.ndarray)]
         for array in arrays:
             array.flags.writeable = False
         with self._lock:

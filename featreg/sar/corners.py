@@ -65,28 +65,32 @@ def orientation(image: NDArray[np.float32], xy: IntArray, radius: int) -> FloatA
     return angle
 
 
-def refine_centroid(edges: NDArray[np.uint8], xy: IntArray, sigma: float) -> FloatArray:
-    """Return (N, 2) sub-pixel positions: the iterated Gaussian-weighted 7 x 7 centroid of the edge strength.
+def refine_centroid(edges: NDArray[np.uint8], xy: IntArray, sigma: float) -> tuple[FloatArray, BoolArray]:
+    """Return (N, 2) sub-pixel positions, the iterated 7 x 7 centroid of the edge strength, and (N,) bool where it holds.
 
-    A point that would move farther than 2 pixels stays at its pixel.
+    The weight is a Gaussian of `sigma` pixels. A point that would move farther than 2 pixels stays at its pixel and is
+    marked False.
     """
     from featreg.sar import corner_kernels
 
     moved = np.empty((len(xy), 2))
     good = np.empty(len(xy), np.uint8)
     corner_kernels.edge_centroid(edges, xy.astype(np.float64), sigma, CENTROID_ITERATIONS, REACH, moved, good)
-    return moved
+    return moved, good.astype(np.bool_)
 
 
-def refine_corner(gx: NDArray[np.float32], gy: NDArray[np.float32], xy: IntArray, sigma: float) -> FloatArray:
-    """Return (N, 2) sub-pixel positions by Eq. 6 and 7 of Wang et al. 2022, iterated: the corner of the edges around.
+def refine_corner(
+    gx: NDArray[np.float32], gy: NDArray[np.float32], xy: IntArray, sigma: float
+) -> tuple[FloatArray, BoolArray]:
+    """Return (N, 2) sub-pixel positions by Eq. 6 and 7 of Wang et al. 2022, iterated, and (N,) bool: where they hold.
 
     `gx`, `gy` are (H, W) gradients; the weight is a Gaussian of `sigma` pixels on 7 x 7. A point that would move
-    farther than 2 pixels, or whose equations are singular, stays at its pixel.
+    farther than 2 pixels, or whose equations are singular, stays at its pixel and is marked
+    False.
     """
     from featreg.sar import corner_kernels
 
     moved = np.empty((len(xy), 2))
     good = np.empty(len(xy), np.uint8)
     corner_kernels.corner_intersection(gx, gy, xy.astype(np.float64), sigma, CORNER_ITERATIONS, REACH, moved, good)
-    return moved
+    return moved, good.astype(np.bool_)
