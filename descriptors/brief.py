@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -87,9 +87,8 @@ class Brief(Descriptor):
             words[rows] = out
             kept[rows] = True
         index = np.flatnonzero(kept)
-        chosen = features.take(index)
         packed = words[index].view(np.uint8)
-        return Features(chosen.xy, chosen.scale, chosen.angle, chosen.score, chosen.level, packed, "hamming", index)
+        return replace(features.take(index), descriptors=packed, norm="hamming", index=index)
 
 
 def _turns(angle: FloatArray) -> NDArray[np.int64]:

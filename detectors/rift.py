@@ -58,7 +58,7 @@ class PhaseCongruency(Detector):
             at = xy[:count]
             parts.append(
                 Features(
-                    refine_centroid(m, at, self.sigma) if self.subpixel == "centroid" else at.astype(float),
+                    refine_centroid(m, at, self.sigma)[0] if self.subpixel == "centroid" else at.astype(float),
                     self.support,
                     orientation(largest, at, 15),
                     score[:count].astype(np.float64),

@@ -46,7 +46,8 @@ class SarOfast(Detector):
     centroid of the edge strength, because few corners under speckle are crossings of two edges, and at the others the
     gradients of Eq. 6 are not perpendicular on the lines to the corner (measured on one-look Sentinel-1 pairs: 0.70 px
     RMSE of the correct matches against 0.83 px without and 0.83 px by Eq. 7); finer levels get a larger share
-    (`quota_decay`), because a pixel of error there costs less. A corner that runs away is dropped.
+    (`quota_decay`), because a pixel of error there costs less. A corner that runs away stays at its pixel and
+    is marked False in `Features.subpixel`.
     """
 
     n_features: int = 5000
@@ -88,17 +89,18 @@ class SarOfast(Detector):
         counts = share_out(self.n_features, [len(score) for _, score in found], self.quota_decay)
         parts = []
         for number, (level, (xy, score), count) in enumerate(zip(chain, found, counts, strict=True)):
-            found_xy, stable = self._subpixel(level, xy[:count])
-            at, kept_score = xy[:count][stable], score[:count][stable]
+            at = xy[:count]
+            moved, stable = self._subpixel(level, at)
             scale = self.support * np.sqrt(image.mask.size / level.mask.size)
             view = despeckled(level)
             parts.append(
                 Features(
-                    xy=to_base(found_xy[stable], level, image),
+                    xy=to_base(moved, level, image),
                     scale=scale,
                     angle=orientation(view, at, ORIENTATION_RADIUS),
-                    score=kept_score.astype(np.float64),
+                    score=score[:count].astype(np.float64),
                     level=np.full(len(at), number),
+                    subpixel=stable,
                 )
             )
         everything = Features.concatenate(parts)

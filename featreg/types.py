@@ -201,6 +201,7 @@ class Features(_ReadOnly):
     descriptors : (N, D) float32, or uint8 holding packed bits, or None before description
     norm : "l2" or "hamming", of the descriptors
     index : (N,) int64 rows of the features a descriptor was given, where it dropped or doubled some; else None
+    subpixel : (N,) bool, False where the sub-pixel position could not be found and is that of the pixel; else None
     """
 
     xy: FloatArray
@@ -211,6 +212,7 @@ class Features(_ReadOnly):
     descriptors: NDArray[np.float32] | NDArray[np.uint8] | None = None
     norm: str = "l2"
     index: IntArray | None = None
+    subpixel: BoolArray | None = None
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -221,6 +223,8 @@ class Features(_ReadOnly):
         put(self, "level", column(self.level, n, "Features.level", np.int64))
         if self.index is not None:
             put(self, "index", column(self.index, n, "Features.index", np.int64))
+        if self.subpixel is not None:
+            put(self, "subpixel", column(self.subpixel, n, "Features.subpixel", np.bool_))
         if self.norm not in ("l2", "hamming"):
             raise InputError(f"Features.norm must be 'l2' or 'hamming', got '{self.norm}'")
         if self.descriptors is not None:
@@ -240,12 +244,14 @@ class Features(_ReadOnly):
         """The undescribed features of all parts, one after the other."""
         if not parts:
             return cls.empty()
+        marks = [part.subpixel for part in parts]
         return cls(
             xy=np.concatenate([part.xy for part in parts]),
             scale=np.concatenate([part.scale for part in parts]),
             angle=np.concatenate([part.angle for part in parts]),
             score=np.concatenate([part.score for part in parts]),
             level=np.concatenate([part.level for part in parts]),
+            subpixel=None if any(m is None for m in marks) else np.concatenate([m for m in marks if m is not None]),
         )
 
     def __len__(self) -> int:
@@ -262,6 +268,7 @@ class Features(_ReadOnly):
             level=self.level[rows],
             descriptors=None if self.descriptors is None else self.descriptors[rows],
             index=None if self.index is None else self.index[rows],
+            subpixel=None if self.subpixel is None else self.subpixel[rows],
         )
 
     def best(self, count: int) -> Self:

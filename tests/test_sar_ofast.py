@@ -124,6 +124,8 @@ def test_sub_pixel_positions_stay_near_their_pixel(sar_texture: Texture, subpixe
     shift = np.hypot(*(moved.xy - whole.xy).T)
     assert shift.max() <= 2.0 + 1e-9
     assert (shift.max() > 0.1) == (subpixel != "none")
+    assert moved.subpixel is not None
+    np.testing.assert_array_equal(shift[~moved.subpixel], 0)
 
 
 def test_points_follow_a_scene_that_moves_by_a_fraction_of_a_pixel(sar_texture: Texture) -> None:

@@ -66,7 +66,7 @@ def orientation(image: NDArray[np.float32], xy: IntArray, radius: int) -> FloatA
 
 
 def refine_centroid(edges: NDArray[np.uint8], xy: IntArray, sigma: float) -> tuple[FloatArray, BoolArray]:
-    """Return (N, 2) sub-pixel positions, the iterated 7 x 7 centroid of the edge strength, and (N,) bool where it holds.
+    """Return (N, 2) sub-pixel positions, the iterated 7 x 7 centroid of the edge strength, and (N,) bool where found.
 
     The weight is a Gaussian of `sigma` pixels. A point that would move farther than 2 pixels stays at its pixel and is
     marked False.
