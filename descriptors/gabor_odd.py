@@ -1,42 +1,77 @@
-"""GOF: histograms of odd-Gabor ratio gradients."""
+"""GOF: histograms of odd-Gabor ratio gradients, at one scale (S-GOF) or several (M-GOF)."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
+from featreg.errors import ParameterError
 from featreg.interfaces import Descriptor
 from featreg.registry import register
 from featreg.sar.gabor import gabor_gradients
-from featreg.sar.gradient_histograms import PolarField, gloh, normalised
+from featreg.sar.gradient_histograms import LENGTH, PolarField, described, from_base, gloh, normalised, octave
 from featreg.types import Features, Image
+
+# A scale is computed on the coarsest halving of the image on which its sigma is at least so many pixels.
+COARSEST_GRID = 1.4
 
 
 @register("gabor-odd")
 @dataclass(frozen=True)
 class GaborOdd(Descriptor):
+    """Log-polar histograms (17 cells, 8 directions) of the ratio gradients of odd Gabor filters.
+
+    Parameters
+    ----------
+    scales, sigma, factor : how many scales of filters, the standard deviation in pixels of the finest across the edge,
+        and the ratio of neighbours; the same filters serve keypoints of every scale
+    orientations : filter directions over half a turn
+    floor : added to the means before their ratio is taken, relative to the image's mean amplitude
+    step : distance of the samples relative to the radius, which is the keypoint's scale
+
+    Notes
+    -----
+    S. Paul, U. C. Pati, "A Gabor Odd Filter-Based Ratio Operator for SAR Image Matching", IEEE Geosci. Remote Sens.
+    Lett. 16 (2019) 397, DOI 10.1109/LGRS.2018.2872979. The letter leaves open to us, and our reading is: the edge
+    response of a direction is the logarithm of the ratio of the means under the two halves of the odd filter (so that
+    a ratio and its inverse count alike), the gradient its projection on the axes (see `featreg.sar.gabor`); several
+    scales are joined by adding their normalised histograms, which keeps the length and counts every scale alike; any
+    detector's keypoints may be described, those kept being the ones of the highest score. Three directions match as
+    well as four, six or eight. Cells are GLOH's 17 instead of SIFT's 16 square ones. Filters of larger sigma run on a halved
+    image. What lies outside the image or near nodata counts as no gradient; only keypoints that lie there themselves,
+    or have no gradient around them, are dropped.
+    """
+
     scales: int = 1
     sigma: float = 2.0
     factor: float = math.sqrt(2)
-    orientations: int = 6
+    orientations: int = 3
     floor: float = 0.01
     step: float = 0.125
-    mode: str = "sum"
+
+    def __post_init__(self) -> None:
+        if self.scales < 1 or self.orientations < 2:
+            raise ParameterError(
+                f"gabor-odd needs scales >= 1 and orientations >= 2, got {self.scales} and {self.orientations}"
+            )
+        if not (0.5 <= self.sigma <= 100 and self.factor > 1 and self.floor >= 0 and 0.01 <= self.step <= 0.25):
+            raise ParameterError(
+                "gabor-odd needs 0.5 <= sigma <= 100, factor > 1, floor >= 0 and 0.01 <= step <= 0.25, got "
+                f"{self.sigma}, {self.factor}, {self.floor} and {self.step}"
+            )
 
     def describe_features(self, image: Image, features: Features) -> Features:
-        if self.mode == "sum":
-            gx = gy = 0
-            for k in range(self.scales):
-                a, b = gabor_gradients(image, self.sigma * self.factor**k, self.orientations, self.floor)
-                gx, gy = gx + a, gy + b
-            fields = [PolarField.of(gx, gy)]
-        else:
-            fields = [PolarField.of(*gabor_gradients(image, self.sigma * self.factor**k, self.orientations, self.floor)) for k in range(self.scales)]
-        h = [normalised(gloh(f, features.xy, features.scale, features.angle, self.step)) for f in fields]
-        if self.mode == "concat":
-            h = np.concatenate(h, 1) / np.float32(np.sqrt(len(h)))
-        else:
-            h = normalised(sum(h))
-        return replace(features, descriptors=np.ascontiguousarray(h), norm="l2", index=np.arange(len(features)))
+        total = np.zeros((len(features), LENGTH), np.float32)
+        for k in range(self.scales):
+            level, sigma = octave(image, self.sigma * self.factor**k, COARSEST_GRID)
+            field = level.derive(_field, sigma=sigma, orientations=self.orientations, floor=self.floor)
+            radius = features.scale * level.shape[1] / image.shape[1]
+            histograms = gloh(field, from_base(features.xy, level, image), radius, features.angle, self.step)
+            total += normalised(histograms)
+        return described(image, features, normalised(total))
+
+
+def _field(level: Image, sigma: float, orientations: int, floor: float) -> PolarField:
+    return PolarField.of(*gabor_gradients(level, sigma, orientations, floor))

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from featreg.errors import ParameterError
 from featreg.interfaces import Descriptor
 from featreg.registry import register
-from featreg.sar.gradient_histograms import LENGTH, from_base, gloh, normalised, octave, ratio_field
+from featreg.sar.gradient_histograms import LENGTH, described, from_base, gloh, normalised, octave, ratio_field
 from featreg.types import Features, Image
 
 
@@ -37,8 +37,8 @@ class RatioGloh(Descriptor):
 
     Departures: directions are counted relative to the keypoint's; samples are shared between cells; alpha never falls
     below `finest`, because finer gradients are speckle; samples lie 1.5 alpha apart by default, where the gradients
-    are nearly independent. Fields of large alpha are computed on a halved image. No keypoint is dropped: what lies
-    outside the image or on nodata counts as no gradient.
+    are nearly independent. Fields of large alpha are computed on a halved image. What lies outside the image or near
+    nodata counts as no gradient; only keypoints that lie there themselves, or without any gradient, are dropped.
     """
 
     support: float = 12.0
@@ -70,5 +70,4 @@ class RatioGloh(Descriptor):
                 ratio_field(level, alpha, self.floor), from_base(features.xy[rows], level, image),
                 features.scale[rows] * smaller, features.angle[rows], self.step, self.soft,
             )  # fmt: skip
-        described = normalised(histograms, self.root)
-        return replace(features, descriptors=described, norm="l2", index=np.arange(len(features)))
+        return described(image, features, normalised(histograms, self.root))

@@ -1,79 +1,112 @@
-"""Corner and edge points of phase congruency, as RIFT detects them."""
+"""Corner and edge points of phase congruency, RIFT's detector."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from featreg.errors import ParameterError
 from featreg.interfaces import Detector
 from featreg.registry import register
 from featreg.sar.corners import fast_corners, orientation, refine_centroid
 from featreg.sar.log_gabor import LogGabor
-from featreg.sar.phase_congruency import Congruency, congruency_maps, without_rim
-from featreg.sar.pyramid import clear
-from featreg.types import Features, Image
+from featreg.sar.phase_congruency import Congruency, bytes_of, congruency_maps, without_rim
+from featreg.sar.pyramid import SUPPORT, clear
+from featreg.types import Features, FloatArray, Image, IntArray
+
+ORIENTATION_RADIUS = 15
 
 
 @register("phase-congruency")
 @dataclass(frozen=True)
 class PhaseCongruency(Detector):
+    """FAST corners of the two principal moments of phase congruency: corner points and edge points.
+
+    Parameters
+    ----------
+    n_features : at most so many keypoints
+    corner_share : share of them taken from the minimum moment (corners), the rest from the maximum moment (edges);
+        what one cannot fill goes to the other
+    threshold : least FAST score on a map quantised to 0..255
+    support : radius in pixels that must be free of nodata, of a black rim and of the image border
+    subpixel : "centroid" (iterated centroid of the moment around the point) or "none"
+    sigma : standard deviation in pixels of the Gaussian weight of the 7 x 7 sub-pixel neighbourhood
+    scales, orientations : number of log-Gabor filters
+    min_wavelength : of the finest scale, px
+    multiplier : ratio of the wavelengths of two neighbouring scales
+    bandwidth : of a filter, see `featreg.sar.log_gabor.LogGabor`
+    noise : standard deviations above the mean noise energy that counts as structure
+    floor : added to the sum of amplitudes, see `featreg.sar.phase_congruency`
+    view : "soft-log" or "amplitude", what is filtered
+
+    Notes
+    -----
+    J. Li, Q. Hu, M. Ai, "RIFT: multi-modal image matching based on radiation-variation insensitive feature transform",
+    IEEE TIP 29 (2020) 3296, DOI 10.1109/TIP.2019.2959244, Eq. 1 to 10. Departures: the edge points are FAST corners of
+    the maximum moment, as in the authors' program; scales, wavelengths, bandwidth, noise, floor and view are those that
+    find SAR corners again (`featreg.sar.phase_congruency` says why; the preset rift-paper holds the paper's);
+    positions are sub-pixel, which lowers the error of points found again from 0.94 to 0.79 px; the angle, towards the
+    centroid of the edge map, does not depend on how a sensor maps brightness.
+    """
+
     n_features: int = 5000
     corner_share: float = 0.5
     threshold: int = 5
-    support: float = 20.0
+    support: float = SUPPORT
     subpixel: str = "centroid"
     sigma: float = 1.0
-    scales: int = 4
+    scales: int = 3
     orientations: int = 6
-    min_wavelength: float = 3.0
-    multiplier: float = 1.6
-    bandwidth: float = 0.75
-    noise: float = 1.0
-    floor: float = 0.3
-    blur: float = 0.0
-    dedupe: float = 0.0
-    top: float = 0.99
+    min_wavelength: float = 4.0
+    multiplier: float = 2.0
+    bandwidth: float = 0.5
+    noise: float = 0.0
+    floor: float = 0.1
+    view: str = "soft-log"
+
+    def __post_init__(self) -> None:
+        self._settings()
+        if self.n_features < 1 or not 0 <= self.corner_share <= 1 or not 0 <= self.threshold <= 254:
+            raise ParameterError(
+                "phase-congruency needs n_features >= 1, corner_share from 0 to 1 and threshold from 0 to 254, got "
+                f"{self.n_features}, {self.corner_share} and {self.threshold}"
+            )
+        if not self.support >= 3 or not 0 < self.sigma < 100 or self.subpixel not in ("centroid", "none"):
+            raise ParameterError(
+                "phase-congruency needs support >= 3, sigma > 0 and subpixel 'centroid' or 'none', got "
+                f"{self.support}, {self.sigma} and '{self.subpixel}'"
+            )
+
+    def _settings(self) -> tuple[LogGabor, Congruency]:
+        bank = LogGabor(self.scales, self.orientations, self.min_wavelength, self.multiplier, self.bandwidth)
+        return bank, Congruency(self.noise, self.floor, self.view)
 
     def detect_features(self, image: Image) -> Features:
-        bank = LogGabor(self.scales, self.orientations, self.min_wavelength, self.multiplier, self.bandwidth)
-        largest, smallest, _, mask = congruency_maps(image, bank, Congruency(self.noise, floor=self.floor))
+        largest, smallest, _, valid = congruency_maps(image, *self._settings())
         allowed = clear(without_rim(image), self.support)
-        found = []
-        import cv2
-        maps = [quantised(cv2.GaussianBlur(m, (0, 0), self.blur) if self.blur else m, mask, self.top) for m in (smallest, largest)]
-        for m in maps:
-            found.append(fast_corners(m, self.threshold, allowed, self.n_features))
-            if self.dedupe:
-                disc = np.zeros(allowed.shape, np.uint8)
-                disc[found[-1][0][:, 1], found[-1][0][:, 0]] = 1
-                r = int(self.dedupe)
-                allowed = allowed & (cv2.dilate(disc, np.ones((2 * r + 1, 2 * r + 1), np.uint8)) == 0)
-        supply = [len(f[0]) for f in found]
-        corners = min(supply[0], max(round(self.corner_share * self.n_features), self.n_features - supply[1]))
-        counts = [corners, min(supply[1], self.n_features - corners)]
+        if not allowed.any():
+            return Features.empty()
+        maps = [bytes_of(moment, valid) for moment in (smallest, largest)]
+        found = [fast_corners(moment, self.threshold, allowed, self.n_features) for moment in maps]
+        corners, edges = (len(score) for _, score in found)
+        first = min(corners, max(round(self.corner_share * self.n_features), self.n_features - edges))
         parts = []
-        for level, (m, (xy, score), count) in enumerate(zip(maps, found, counts)):
+        for moment, (xy, score), count in zip(maps, found, (first, self.n_features - first), strict=True):
             at = xy[:count]
             parts.append(
                 Features(
-                    refine_centroid(m, at, self.sigma)[0] if self.subpixel == "centroid" else at.astype(float),
-                    self.support,
-                    orientation(largest, at, 15),
-                    score[:count].astype(np.float64),
-                    np.zeros(count, np.int64),
+                    xy=self._position(moment, at),
+                    scale=self.support,  # type: ignore[arg-type]  # one number stands for all rows
+                    angle=orientation(largest, at, ORIENTATION_RADIUS),
+                    score=score[:count].astype(np.float64),
+                    level=np.zeros(len(at), np.int64),
                 )
             )
         everything = Features.concatenate(parts)
         return everything.take(np.argsort(-everything.score, kind="stable"))
 
-
-def quantised(strength: NDArray[np.float32], mask: NDArray[np.bool_], top: float) -> NDArray[np.uint8]:
-    import cv2
-
-    sample = strength[::7, ::7][mask[::7, ::7]]
-    top = float(np.quantile(sample, top)) if sample.size else 0.0
-    if not top > 0:
-        return np.zeros(strength.shape, np.uint8)
-    return np.asarray(cv2.convertScaleAbs(strength, alpha=255 / top), np.uint8)
+    def _position(self, moment: np.ndarray[tuple[int, ...], np.dtype[np.uint8]], at: IntArray) -> FloatArray:
+        if self.subpixel == "none":
+            return at.astype(np.float64)
+        return refine_centroid(moment, at, self.sigma)[0]

@@ -11,23 +11,22 @@ from numpy.typing import NDArray
 from featreg.errors import ParameterError
 from featreg.interfaces import Detector
 from featreg.registry import register
-from featreg.sar.gradient_histograms import dominant_orientation, from_base, octave, ratio_field
+from featreg.sar.gradient_histograms import dominant_orientation, filled_gradients, from_base, octave, ratio_field
 from featreg.sar.maxima import interpolated, local_maxima, parabola_peak, quadratic_peak
 from featreg.sar.pyramid import clear, share_out, to_base
-from featreg.sar.ratio import ratio_gradients
 from featreg.types import Features, FloatArray, Image, IntArray
 
 F32 = NDArray[np.float32]
 
 # A scale is computed on the coarsest halving of the image on which its alpha is at least so many pixels.
-COARSEST_GRID = 1.5
+COARSEST_GRID = 1.25
 # Standard deviations to which the Gaussian that smooths the matrix reaches.
 REACH = 2.5
 
 
 @dataclass(frozen=True, eq=False)
 class _Layer:
-    """One scale: the SAR-Harris response (h, w) on the grid of `level`, of which it takes every pixel."""
+    """One scale: the SAR-Harris response, float32 on the grid of `level`; `alpha` is in pixels of the image."""
 
     alpha: float
     level: Image
@@ -64,7 +63,7 @@ class SarHarris(Detector):
     Departures. The defaults begin at alpha = 1 and smooth by 0.8 alpha, since the position of a maximum is as blurred
     as the response, and finer scales get a larger share of the budget: on Sentinel-1 pairs more than three times as
     many correct matches as with the paper's values, which are parameters. One-sided means exclude the pixel itself.
-    Coarse scales are computed on an image halved one or more times, where their alpha is at least 1.5 pixels. The
+    Coarse scales are computed on an image halved one or more times, where their alpha is at least 1.25 pixels. The
     position comes from a quadratic surface through the 3 x 3 responses, the scale from a parabola over the logarithm
     of alpha; both stay at the pixel and the layer where the fit leaves it. A keypoint has one orientation.
     """
@@ -75,7 +74,7 @@ class SarHarris(Detector):
     factor: float = 2 ** (1 / 3)
     integration: float = 0.8
     d: float = 0.04
-    threshold: float = 1e-4
+    threshold: float = 1e-3
     floor: float = 0.01
     quota_decay: float = 1.6
     support: float = 12.0
@@ -100,7 +99,8 @@ class SarHarris(Detector):
             )
 
     def detect_features(self, image: Image) -> Features:
-        layers = [self._layer(image, self.alpha * self.factor**k) for k in range(self.scales)]
+        scratch = np.empty(3 * image.mask.size, np.float32)
+        layers = [self._layer(image, self.alpha * self.factor**k, scratch) for k in range(self.scales)]
         found = [self._maxima(layer, image) for layer in layers]
         counts = share_out(self.n_features, [len(at) for at in found], self.quota_decay)
         parts = []
@@ -114,10 +114,10 @@ class SarHarris(Detector):
         everything = Features.concatenate(parts)
         return everything.take(np.argsort(-everything.score, kind="stable"))
 
-    def _layer(self, image: Image, alpha: float) -> _Layer:
+    def _layer(self, image: Image, alpha: float, scratch: F32) -> _Layer:
         level, local = octave(image, alpha, COARSEST_GRID)
-        sigma = self.integration * local
-        return _Layer(alpha, level, level.derive(_response, alpha=local, floor=self.floor, sigma=sigma, d=self.d))
+        gradients = filled_gradients(level, local, self.floor)
+        return _Layer(alpha, level, _response(*gradients, self.integration * local, self.d, scratch))
 
     def _maxima(self, layer: _Layer, image: Image) -> IntArray:
         reach = self.support * layer.alpha * layer.level.shape[1] / image.shape[1]
@@ -136,17 +136,17 @@ class SarHarris(Detector):
         return dominant_orientation(ratio_field(level, local, self.floor), from_base(xy, level, image), radius)
 
 
-def _response(level: Image, alpha: float, floor: float, sigma: float, d: float) -> F32:
-    """det - d trace^2 of the SAR-Harris matrix."""
+def _response(gx: F32, gy: F32, sigma: float, d: float, scratch: F32) -> F32:
+    """det - d trace^2 of the SAR-Harris matrix; `scratch` holds at least three floats for every pixel."""
     import cv2
 
     from featreg.sar import harris_kernels
 
-    gx, gy = ratio_gradients(level, alpha, floor)
-    maps = np.empty((3, *gx.shape), np.float32)
+    maps = scratch[: 3 * gx.size].reshape(3, *gx.shape)
     harris_kernels.products(gx, gy, maps)
     side = 2 * max(1, math.ceil(REACH * sigma)) + 1
     for product in maps:
         cv2.GaussianBlur(product, (side, side), sigma, dst=product, borderType=cv2.BORDER_REFLECT_101)
-    harris_kernels.response(maps, np.float32(d))
-    return maps[0]
+    response = np.empty(gx.shape, np.float32)
+    harris_kernels.response(maps, np.float32(d), response)
+    return response

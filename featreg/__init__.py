@@ -24,39 +24,46 @@ if TYPE_CHECKING:
     )
     from featreg.io import as_image
     from featreg.matching import fit, match
+    from featreg.phase_history import PhaseHistory, read_phase_history
     from featreg.pipeline import Pipeline
     from featreg.registry import available, create, register, register_family
     from featreg.resample import warp
+    from featreg.sar.backprojection import GroundGrid, back_project, carrier
     from featreg.types import Features, Image, Matches, Registration
     from featreg.warming import warm_up
 
 # Public name -> module that defines it; each is imported when first asked for, so that `import featreg` is quick.
 _HOMES = {
+    "as_image": "io",
+    "available": "registry",
+    "back_project": "sar.backprojection",
+    "carrier": "sar.backprojection",
+    "compare": "comparison",
+    "create": "registry",
     "Descriptor": "interfaces",
     "Detector": "interfaces",
+    "evaluate": "evaluation",
+    "extractor": "extraction",
     "FailedFit": "interfaces",
     "FeatregError": "errors",
     "FeatureMatcher": "feature_matcher",
     "Features": "types",
     "Filter": "interfaces",
     "FilterContext": "interfaces",
+    "fit": "matching",
+    "GroundGrid": "sar.backprojection",
     "Image": "types",
+    "match": "matching",
     "Matcher": "interfaces",
     "Matches": "types",
     "Model": "interfaces",
     "Nearest": "interfaces",
+    "PhaseHistory": "phase_history",
     "Pipeline": "pipeline",
-    "Registration": "types",
-    "as_image": "io",
-    "available": "registry",
-    "compare": "comparison",
-    "create": "registry",
-    "evaluate": "evaluation",
-    "extractor": "extraction",
-    "fit": "matching",
-    "match": "matching",
+    "read_phase_history": "phase_history",
     "register": "registry",
     "register_family": "registry",
+    "Registration": "types",
     "warm_up": "warming",
     "warp": "resample",
 }
@@ -70,22 +77,27 @@ __all__ = [
     "Features",
     "Filter",
     "FilterContext",
+    "GroundGrid",
     "Image",
     "Matcher",
     "Matches",
     "Model",
     "Nearest",
+    "PhaseHistory",
     "Pipeline",
     "Registration",
     "__version__",
     "as_image",
     "available",
+    "back_project",
+    "carrier",
     "compare",
     "create",
     "evaluate",
     "extractor",
     "fit",
     "match",
+    "read_phase_history",
     "register",
     "register_family",
     "warm_up",

@@ -66,7 +66,8 @@ def assemble(
     refine : whether to refine; None leaves it to the preset
     n_features : most features per image and most final tie points
     keywords : ``detector``, ``descriptor``, ``nearest``, ``matcher`` (name or object), ``filters`` (list of names or
-        objects), ``common_rotation``, and any parameter of any part, as ``name`` or ``part.name``
+        objects), ``common_rotation``, ``robust`` (see `Pipeline`), and any parameter of any part, as ``name`` or
+        ``part.name``
 
     Raises
     ------
@@ -87,18 +88,25 @@ def assemble(
     slots = _slots(preset, method, keywords)
     steps = _filters(preset, keywords)
     common = keywords.pop("common_rotation", preset.common_rotation)
-    registry.check_type("common_rotation", common, True)
-    refinement, limits = _route(keywords, slots, steps)
+    robust = keywords.pop("robust", preset.robust)
+    for key, value in (("common_rotation", common), ("robust", robust)):
+        registry.check_type(key, value, True)
+    refinement, limits = _route(keywords, slots, steps, preset.trust)
     for slot in slots.values():
         if "n_features" in slot.known:
             slot.parameters.setdefault("n_features", budget)
     matcher = _matcher(slots, budget, common)
     filters = tuple((step, slot.make()) for step, slot in steps.items())
     use = preset.refine if refine is None else refine
-    chosen = registry.model_class(model or DEFAULT_MODEL) if not isinstance(model, type) else model
+    chosen = registry.model_class(model or preset.model or DEFAULT_MODEL) if not isinstance(model, type) else model
     refinement_asked = Refine(**refinement)
     refiner = refinement_asked if use else None
-    parameters: dict[str, Any] = {"n_features": budget, "model": registry.model_name(chosen), "refine": bool(use)}
+    parameters: dict[str, Any] = {
+        "n_features": budget,
+        "model": registry.model_name(chosen),
+        "refine": bool(use),
+        "robust": bool(robust),
+    }
     if isinstance(matcher, FeatureMatcher):
         parameters["common_rotation"] = matcher.common_rotation
     for role, slot in {**slots, **steps}.items():
@@ -106,7 +114,7 @@ def assemble(
     if refiner is not None:
         parameters["refinement"] = values_of(refiner, {}, {})
     parameters["trust"] = values_of(limits, {}, {})
-    return Pipeline(matcher, filters, chosen, refiner, limits, budget, name, parameters)
+    return Pipeline(matcher, filters, chosen, refiner, limits, budget, robust, name, parameters)
 
 
 def values_of(part: Any, given: Mapping[str, Any], known: Mapping[str, Any]) -> dict[str, Any]:
@@ -162,11 +170,11 @@ def _filters(preset: Preset, keywords: dict[str, Any]) -> dict[str, _Slot]:
 
 
 def _route(
-    keywords: dict[str, Any], slots: Mapping[str, _Slot], steps: Mapping[str, _Slot]
+    keywords: dict[str, Any], slots: Mapping[str, _Slot], steps: Mapping[str, _Slot], limits: Mapping[str, Any]
 ) -> tuple[dict[str, Any], Limits]:
     """Give every keyword to the one part that has a parameter of that name."""
     refinement: dict[str, Any] = {}
-    trust: dict[str, Any] = {}
+    trust = dict(limits)
     takers: dict[str, tuple[dict[str, Any], set[str]]] = {
         "refine": (refinement, {f.name for f in fields(Refine)}),
         "trust": (trust, {f.name for f in fields(Limits)}),

@@ -17,9 +17,12 @@ from numpy.typing import NDArray
 
 from featreg.errors import InputError, ParameterError, suggest
 from featreg.masks import MaskLike, as_mask, holds_nodata
+from featreg.phase_history import read_phase_history
 from featreg.readers import Raster, quiet, read_raster, reason
 from featreg.scales import SCALES, check_content, complex_pixels, real_pixels
 from featreg.types import BoolArray, Geolocation, Image
+
+__all__ = ["ImageLike", "as_image", "read_image", "read_phase_history", "write_geotiff"]
 
 SMALLEST = 16
 

@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 from featreg.errors import InputError, ParameterError, PluginUnavailableError
 from featreg.types import FloatArray, column, read_only
 
-#: Speed of light, m/s.
-C = 299_792_458.0
 #: How far frequencies may be from evenly spaced, as a share of their spacing; float32 files round by 0.0004.
 UNEVEN = 0.01
 POLARISATIONS = ("HH", "HV", "VH", "VV")
@@ -79,7 +77,9 @@ class PhaseHistory:
         for key in ("r0", "azimuth_deg", "autofocus_range", "autofocus_phase"):
             if getattr(self, key) is not None:
                 put(self, key, self._column(key, pulses))
-        put(self, "azimuth_deg", read_only(np.mod(self.azimuth_deg, 360.0)))
+        azimuth = np.mod(self.azimuth_deg, 360.0)
+        azimuth[azimuth == 360.0] = 0.0  # what the remainder of a tiny negative angle is rounded to
+        put(self, "azimuth_deg", read_only(azimuth))
 
     def _column(self, key: str, rows: int) -> FloatArray:
         try:
@@ -243,6 +243,11 @@ def read_phase_history(
     Gotcha files keep positions and r0 as float32: at 10 km, r0 is rounded by up to 0.7 mm, 0.3 rad of two-way phase
     from pulse to pulse, which blurs. Where r0 is the distance |p| but for that rounding, |p| is computed afresh: the
     rounding of p itself is harmless, because the same p stands in both ranges of the signal model.
+
+    References
+    ----------
+    C. H. Casteel et al., A challenge problem for 2D/3D imaging of targets from a volumetric data set in an urban
+    environment, Proc. SPIE 6568, 2007, doi:10.1117/12.731457
     """
     if polarisation is not None and polarisation not in POLARISATIONS:
         raise ParameterError(f"polarisation must be one of {', '.join(POLARISATIONS)}, got {polarisation!r}")

@@ -34,6 +34,7 @@ class Pipeline:
     refine : the refinement, or None
     limits : what a trusted result must reach
     n_features : most final tie points
+    robust : whether the fit to what the filters kept is iteratively reweighted, or plain least squares
     name : of the method, for the record
     parameters : every parameter, for the record
     """
@@ -44,6 +45,7 @@ class Pipeline:
     refine: Refine | None = None
     limits: Limits = field(default_factory=Limits)
     n_features: int = 5000
+    robust: bool = True
     name: str = "custom"
     parameters: Mapping[str, Any] = field(default_factory=dict)
 
@@ -151,9 +153,13 @@ class Pipeline:
         return stages, kept
 
     def _fit(self, matches: Matches, kept: BoolArray) -> tuple[Model | FailedFit, BoolArray]:
-        """Robust fit to what the filters kept; the inliers are those the fit did not leave out, best score first."""
+        """Fit to what the filters kept; the inliers are those the fit did not leave out, best score first."""
         here, there = matches.reference_xy[kept], matches.secondary_xy[kept]
-        model, weights = irls(self.model, here, there, scale_px=SCALE_PX, iterations=ROUNDS)
+        model: Model | FailedFit
+        if self.robust:
+            model, weights = irls(self.model, here, there, scale_px=SCALE_PX, iterations=ROUNDS)
+        else:
+            model, weights = self.model.from_estimate(here, there), np.ones(len(here))
         inliers = np.zeros(len(matches), np.bool_)
         if isinstance(model, FailedFit):
             return model, inliers

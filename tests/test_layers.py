@@ -27,8 +27,8 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
     "registry": ({"registry"}, {"base", "types", "interfaces"}),
     "geometry": ({"geometry"}, {"base", "types", "interfaces", "registry"}),
     "robust": ({"robust", "robust_kernels"}, {"base", "types", "interfaces", "registry", "geometry"}),
-    "input": ({"readers", "scales", "masks", "io", "opencv"}, {"base", "types", "sar"}),
-    "simulate": ({"simulate", "simulate_circle", "phase_history"}, {"base", "types", "sar", "input"}),
+    "input": ({"readers", "scales", "masks", "io", "opencv", "phase_history"}, {"base", "types", "sar"}),
+    "simulate": ({"simulate", "simulate_circle"}, {"base", "types", "sar", "input"}),
     "plugins": (set(ROOMS), {"base", "types", "sar", "interfaces", "registry", "geometry", "robust", "input"}),
     "results": (
         {"result_file", "truth", "resample", "resample_kernels"},

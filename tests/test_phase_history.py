@@ -110,6 +110,10 @@ def test_the_whole_circle_starts_where_it_is_asked_to() -> None:
     assert chosen.azimuth_deg[[0, -1]].tolist() == [90, 89]
 
 
+def test_azimuths_stay_below_360() -> None:
+    assert history([-1e-14, 360.0, -90.0]).azimuth_deg.tolist() == [0, 0, 270]
+
+
 def test_an_empty_sector_says_what_there_is() -> None:
     with pytest.raises(InputError, match=r"no pulse between azimuth 5 and 6 .* 3 from 0.000 to 2.000"):
         history([0, 1, 2]).select(5, 6)
@@ -284,7 +288,7 @@ def test_a_cphd_file_stands_east_north_up_of_its_reference_point(tmp_path: Path,
     read = read_phase_history(tmp_path / "a.cphd", polarisation="VH")
     np.testing.assert_allclose(read.positions, [[1000, 0, 800], [0, 1000, 800]], atol=1e-5)
     np.testing.assert_allclose(read.r0, np.hypot(1000, 800), atol=1e-5)
-    np.testing.assert_allclose(read.azimuth_deg, [0, 90], atol=1e-6)
+    np.testing.assert_allclose(read.relative_azimuth_deg, [-45, 45], atol=1e-6)
     np.testing.assert_allclose(read.frequencies, 9e9 + 1e6 * np.arange(8))
     np.testing.assert_array_equal(read.samples, numbers[:2] * (0.5 + 1j * sgn))
 

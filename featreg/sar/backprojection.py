@@ -18,7 +18,8 @@ from featreg.types import FloatArray, Image
 if TYPE_CHECKING:
     from featreg.phase_history import PhaseHistory
 
-C = 299_792_458.0
+#: m/s.
+SPEED_OF_LIGHT = 299_792_458.0
 #: Pulses whose range profiles stand in memory at a time.
 PULSES = 128
 #: Rows of one strip: its part of the image stays in the cache while the pulses pass.
@@ -135,6 +136,10 @@ def back_project(
     the middle frequency taken out, the profile turns by at most half a cycle per `upsampling` samples, so that the
     error of interpolation is below (pi / upsampling) ** 2 / 8, -46 dB at 16, at the edge of the band. Beyond the
     unambiguous range of c / (2 spacing) about the centre, samples count as 0: there the echoes would be aliases.
+
+    References
+    ----------
+    L. A. Gorham, L. J. Moore, SAR image formation toolbox for MATLAB, Proc. SPIE 7699, 2010, doi:10.1117/12.855375
     """
     for window in (range_window, azimuth_window):
         if window not in WINDOWS:
@@ -169,7 +174,7 @@ def carrier(history: PhaseHistory, grid: GroundGrid | None = None) -> C64:
     ground = grid.row_starts[:, None] + np.arange(grid.shape[1])[:, None] * grid.step
     off = ground - history.positions[p, :2]
     distance = np.sqrt((off**2).sum(axis=-1) + (grid.height - history.positions[p, 2]) ** 2) - history.r0[p]
-    cycles = distance * (2 * frequency / C)
+    cycles = distance * (2 * frequency / SPEED_OF_LIGHT)
     return np.asarray(np.exp(-2j * np.pi * (cycles - np.rint(cycles))), np.complex64)
 
 
@@ -205,12 +210,12 @@ class _Plan:
     @property
     def per_metre(self) -> float:
         """Profile samples per metre of range."""
-        return 2 * self.history.spacing * self.length / C
+        return 2 * self.history.spacing * self.length / SPEED_OF_LIGHT
 
     @property
     def waves(self) -> float:
         """Carrier cycles per metre of range."""
-        return 2 * self.history.reference_frequency / C
+        return 2 * self.history.reference_frequency / SPEED_OF_LIGHT
 
     @property
     def middle(self) -> float:

@@ -14,14 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import ParameterError, suggest
-from featreg.types import BoolArray, FloatArray, IntArray
+from featreg.types import BoolArray, FloatArray, IntArray, read_only
 
 METHODS = ("ca", "goca", "soca", "os", "tm", "cs")
 #: Share of a whole window's training cells that must exist, or the cell is not tested.
 LEAST_SHARE = 0.1
 #: Rows worked on at once, so that the sums of a strip stay in the cache.
 STRIP = 128
-_DRAWS = 4096
 
 
 def detect(
@@ -75,26 +74,42 @@ def detect(
     P. P. Gandhi, S. A. Kassam, "Analysis of CFAR processors in nonhomogeneous background", IEEE Trans. AES 24(4),
     427-445, 1988, DOI 10.1109/7.7185 (all six)
     """
+    from featreg.sar import cfar_kernels
+
     check(method=method, pfa=pfa, guard=guard, train=train, looks=looks, rank=rank, trim=trim)
     reach = guard + train
     whole = (2 * reach + 1) ** 2 - (2 * guard + 1) ** 2
-    found = np.zeros(power.shape, np.bool_)
+    side = train * (reach + guard + 1)
+    found = np.empty(power.shape, np.bool_)
+    factors: FloatArray
+    if method in ("goca", "soca"):
+        table = [threshold_factors(method, pfa, side, looks, sides=k) for k in (1, 2, 3, 4)]
+        factors = np.pad(np.stack(table), ((1, 0), (1, 0)))
+    else:
+        factors = np.concatenate([[0.0], threshold_factors(method, pfa, whole, looks, rank, trim)])
+        factors[: max(1, round(LEAST_SHARE * whole))] = 0.0
     for top in range(0, power.shape[0], STRIP):
         rows = slice(top, min(top + STRIP, power.shape[0]))
         cells, there = _padded(power, valid, rows, reach)
+        out = found[rows]
         if method in ("goca", "soca"):
-            found[rows] = _sided(cells, there, method, pfa, guard, reach, looks)
+            sums, numbers = _integral(cells), _integral(there)
+            cfar_kernels.sided(cells, sums, numbers, method == "goca", factors, guard, reach, out)
             continue
-        ring = _Ring(guard, reach)
-        counts = ring.sums(_integral(there)).astype(np.int64)
-        factors = np.concatenate([[0.0], threshold_factors(method, pfa, whole, looks, rank, trim)])
-        factors[: max(1, round(LEAST_SHARE * whole))] = 0.0
+        counts = _ring_counts(there, guard, reach)
         if method == "ca":
-            tested = cells[reach:-reach, reach:-reach] if reach else cells
-            found[rows] = counts * tested > factors[counts] * ring.sums(_integral(cells))
-            found[rows] &= factors[counts] > 0
+            scale = (factors / np.maximum(np.arange(whole + 1), 1))[counts]
+            cfar_kernels.cell_averaging(cells, _integral(cells), scale, guard, reach, out)
+            out &= scale > 0
+            continue
+        n = np.arange(whole + 1)
+        cells[there == 0] = np.inf
+        if method == "os":
+            ranks = np.where(factors > 0, os_rank(n, rank), 0)
+            cfar_kernels.order_statistic(cells, counts, ranks, factors, guard, reach, out)
         else:
-            found[rows] = _ordered(cells, there, counts, factors, method, guard, reach, rank, trim)
+            low, high = kept_cells(method, n, trim)
+            cfar_kernels.trimmed_mean(cells, counts, low, high, factors, guard, reach, out)
     return found & valid
 
 
@@ -128,7 +143,7 @@ def threshold_factors(
     CA: X / Z follows Fisher's F with 2 L and 2 n L degrees of freedom, so a = n (1 - w) / w with w the Pfa quantile of
     Beta(n L, L); for one look n (Pfa^(-1/n) - 1). GOCA, SOCA, OS: Pfa is the mean of the gamma tail Q(L, L a z) over
     the distribution of z, integrated over its quantiles. OS, TM, CS of one look: ordered exponential cells are sums of
-    independent ones, so that Pfa is a product. TM, CS of more looks: the mean over 4096 seeded draws of Z.
+    independent ones, so that Pfa is a product. TM, CS of more looks: the mean over seeded draws of Z.
     Where the tail is integrated or drawn, some numbers of cells are solved for and the rest is interpolated in 1 / n.
     """
     if method == "ca":
@@ -136,9 +151,9 @@ def threshold_factors(
 
         n = np.arange(1, cells + 1)
         w = betaincinv(n * looks, looks, pfa)
-        return np.asarray(n * (1 - w) / w)
+        return read_only(np.asarray(n * (1 - w) / w))
     if method in ("os", "tm", "cs") and looks == 1:
-        return _of_one_look(method, pfa, cells, rank, trim)
+        return read_only(_of_one_look(method, pfa, cells, rank, trim))
     some = _some(cells)
     if method in ("goca", "soca"):
         solved = [_solve(_tail_of(_side_means(method, n, looks, sides), looks), pfa) for n in some]
@@ -147,18 +162,18 @@ def threshold_factors(
     else:
         solved = [_solve(_tail_of(_drawn(method, n, looks, trim), looks), pfa) for n in some]
     inverse = 1.0 / np.arange(1, cells + 1)
-    return np.interp(inverse[::-1], 1.0 / some[::-1], np.array(solved)[::-1])[::-1]
+    return read_only(np.interp(inverse[::-1], 1.0 / some[::-1], np.array(solved)[::-1])[::-1])
 
 
 def kept_cells(method: str, n: IntArray, trim: float) -> tuple[IntArray, IntArray]:
     """How many of n training cells "tm" or "cs" leaves out: the smallest, the largest."""
     high = np.floor(trim * n).astype(np.int64)
-    return (high if method == "tm" else np.zeros_like(high)), high
+    return np.asarray(high if method == "tm" else np.zeros_like(high)), np.asarray(high)
 
 
 def os_rank(n: IntArray, rank: float) -> IntArray:
     """The order statistic, counted from 1, that "os" takes of n training cells."""
-    return np.clip(np.rint(rank * n), 1, np.maximum(n, 1)).astype(np.int64)
+    return np.asarray(np.clip(np.rint(rank * n), 1, np.maximum(n, 1)), np.int64)
 
 
 def _some(cells: int) -> IntArray:
@@ -169,7 +184,7 @@ def _some(cells: int) -> IntArray:
 # Quantiles of a probability, dense towards 0 and 1: logistic steps, and the weight of each.
 _S = np.linspace(-30, 30, 401)
 _V = 1 / (1 + np.exp(-_S))
-_WEIGHT = _V / (1 + np.exp(_S)) * (_S[1] - _S[0])
+_WEIGHT: FloatArray = _V / (1 + np.exp(_S)) * (_S[1] - _S[0])
 Quantiles = tuple[FloatArray, FloatArray]
 
 
@@ -178,8 +193,8 @@ def _side_means(method: str, n: int, looks: float, sides: int) -> Quantiles:
     from scipy.special import gammainccinv, gammaincinv
 
     if method == "goca":
-        return gammaincinv(n * looks, _V ** (1 / sides)) / (n * looks), _WEIGHT
-    return gammainccinv(n * looks, _V[::-1] ** (1 / sides)) / (n * looks), _WEIGHT
+        return np.asarray(gammaincinv(n * looks, _V ** (1 / sides)) / (n * looks)), _WEIGHT
+    return np.asarray(gammainccinv(n * looks, _V[::-1] ** (1 / sides)) / (n * looks)), _WEIGHT
 
 
 def _order_statistics(n: int, looks: float, rank: float) -> Quantiles:
@@ -187,14 +202,15 @@ def _order_statistics(n: int, looks: float, rank: float) -> Quantiles:
     from scipy.special import betaincinv, gammaincinv
 
     k = int(os_rank(np.array(n), rank))
-    return gammaincinv(looks, np.minimum(betaincinv(k, n - k + 1, _V), 1 - 1e-16)) / looks, _WEIGHT
+    return np.asarray(gammaincinv(looks, np.minimum(betaincinv(k, n - k + 1, _V), 1 - 1e-16)) / looks), _WEIGHT
 
 
 def _drawn(method: str, n: int, looks: float, trim: float) -> Quantiles:
     """Seeded draws of the trimmed mean of n cells."""
-    cells = np.sort(np.random.default_rng(n).gamma(looks, 1 / looks, (_DRAWS, n)).astype(np.float32), axis=1)
+    draws = max(1024, min(8192, 200_000 // n))
+    cells = np.sort(np.random.default_rng(n).gamma(looks, 1 / looks, (draws, n)), axis=1)
     low, high = (int(k) for k in kept_cells(method, np.array(n), trim))
-    return cells[:, low : n - high].mean(axis=1, dtype=np.float64), np.full(_DRAWS, 1 / _DRAWS)
+    return cells[:, low : n - high].mean(axis=1), np.full(draws, 1 / draws)
 
 
 def _tail_of(quantiles: Quantiles, looks: float) -> Callable[[float], float]:
@@ -262,74 +278,13 @@ def _integral(padded: NDArray[np.float32]) -> FloatArray:
     return np.asarray(cv2.integral(padded, sdepth=cv2.CV_64F))
 
 
-class _Ring:
-    """Sums over rectangles around every cell, from the integral image of a padded strip."""
+def _ring_counts(there: NDArray[np.float32], guard: int, reach: int) -> IntArray:
+    """(H, W) number of training cells that exist around each cell of a padded strip."""
+    import cv2
 
-    def __init__(self, guard: int, reach: int) -> None:
-        self.guard, self.reach = guard, reach
-
-    def rectangle(self, integral: FloatArray, top: int, bottom: int, left: int, right: int) -> FloatArray:
-        """Sums over rows top..bottom and columns left..right, both counted from the cell and included."""
-        r = self.reach
-        height, width = integral.shape[0] - 1 - 2 * r, integral.shape[1] - 1 - 2 * r
-        rows = [slice(r + k, r + k + height) for k in (top, bottom + 1)]
-        cols = [slice(r + k, r + k + width) for k in (left, right + 1)]
-        out = integral[rows[1], cols[1]] - integral[rows[0], cols[1]]
-        out -= integral[rows[1], cols[0]]
-        out += integral[rows[0], cols[0]]
-        return np.asarray(out)
-
-    def sums(self, integral: FloatArray) -> FloatArray:
-        """Over the whole ring."""
-        g, r = self.guard, self.reach
-        out = self.rectangle(integral, -r, r, -r, r)
-        out -= self.rectangle(integral, -g, g, -g, g)
-        return out
-
-    def sides(self, integral: FloatArray) -> list[FloatArray]:
-        """Over each of the four equal rectangles that wind around the guard: top, right, bottom, left."""
-        g, r = self.guard, self.reach
-        turns = ((-r, -g - 1, -r, g), (-r, g, g + 1, r), (g + 1, r, -g, r), (-g, r, -r, -g - 1))
-        return [self.rectangle(integral, *turn) for turn in turns]
-
-
-def _sided(
-    cells: NDArray[np.float32], there: NDArray[np.float32], method: str, pfa: float, guard: int, reach: int, looks: float
-) -> BoolArray:  # fmt: skip
-    ring = _Ring(guard, reach)
-    whole = (reach - guard) * (reach + guard + 1)
-    counts = ring.sides(_integral(there))
-    sums = ring.sides(_integral(cells))
-    best = np.zeros(counts[0].shape) if method == "goca" else np.full(counts[0].shape, np.inf)
-    sides, total = np.zeros(best.shape, np.int64), np.zeros(best.shape)
-    for count, power in zip(counts, sums, strict=True):
-        enough = count >= whole / 2
-        mean = np.divide(power, count, out=np.zeros_like(power), where=enough)
-        best = np.maximum(best, mean) if method == "goca" else np.where(enough, np.minimum(best, mean), best)
-        sides += enough
-        total += count * enough
-    factors = np.stack([np.full(whole + 1, np.inf)] + [
-        np.concatenate([[np.inf], threshold_factors(method, pfa, whole, looks, sides=k)]) for k in (1, 2, 3, 4)
-    ])  # fmt: skip
-    number = np.rint(total / np.maximum(sides, 1)).astype(np.int64)
-    tested = cells[reach:-reach, reach:-reach]
-    with np.errstate(invalid="ignore"):
-        return np.asarray((sides > 0) & (tested > factors[sides, number] * best))
-
-
-def _ordered(
-    cells: NDArray[np.float32], there: NDArray[np.float32], counts: IntArray, factors: FloatArray, method: str,
-    guard: int, reach: int, rank: float, trim: float,
-) -> BoolArray:  # fmt: skip
-    from featreg.sar import cfar_kernels
-
-    padded = np.where(there > 0, cells, np.float32(np.inf))
-    found = np.empty(counts.shape, np.bool_)
-    n = np.arange(len(factors))
-    if method == "os":
-        ranks = np.where(factors > 0, os_rank(n, rank), 0)
-        cfar_kernels.order_statistic(padded, counts, ranks, factors, guard, reach, found)
-    else:
-        low, high = kept_cells(method, n, trim)
-        cfar_kernels.trimmed_mean(padded, counts, low, high, factors, guard, reach, found)
-    return found
+    outer, inner = (
+        np.asarray(cv2.boxFilter(there, -1, (2 * k + 1, 2 * k + 1), normalize=False, borderType=cv2.BORDER_CONSTANT))
+        for k in (reach, guard)
+    )
+    ring = (outer - inner)[reach : there.shape[0] - reach, reach : there.shape[1] - reach]
+    return (ring + np.float32(0.5)).astype(np.int64)

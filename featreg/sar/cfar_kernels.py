@@ -11,15 +11,17 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 B = NDArray[np.bool_]
+# Steps of the ladder up to the mean at which a cell is just detected.
+STEPS = 8
 
 
 @compiled
-def _below(row: F32, level: np.float32) -> np.int64:
+def _below(row: F32, level: np.float32) -> int:
     """How many values of a row lie below a level; its own function, so that the loop becomes vector instructions."""
-    count = np.int32(0)
+    count = 0
     for j in range(row.shape[0]):
-        count += np.int32(row[j] < level)
-    return np.int64(count)
+        count += row[j] < level
+    return count
 
 
 @compiled
@@ -60,8 +62,8 @@ def trimmed_mean(
 ) -> None:  # fmt: skip
     """Mark the cells that exceed the factor times the mean of the training cells numbered low + 1 to n - high in order.
 
-    At least half of the kept cells are as large as their middle one, so the mean is at least half of that: most cells
-    are dismissed by counting, and only the rest is sorted.
+    Counting how many training cells lie below a ladder of levels bounds that mean from both sides, a step of the ladder
+    apart: only the cells within that step of the threshold are sorted for.
     """
     ring = np.empty((2 * reach + 1) ** 2, np.float32)
     for y in range(found.shape[0]):
@@ -72,9 +74,22 @@ def trimmed_mean(
             kept = n - low[n] - high[n]
             if factors[n] <= 0 or kept < 1 or not np.isfinite(value):
                 continue
-            middle = low[n] + kept // 2 + 1
-            bound = np.float32(2.000001 * value / factors[n])
-            if _ring_below(padded, y + reach, x + reach, guard, reach, bound) < middle:
+            least = value / factors[n]
+            # At least half of the kept cells are as large as the middle one: most cells are dismissed here.
+            bound = np.float32(2.000001 * least)
+            if _ring_below(padded, y + reach, x + reach, guard, reach, bound) < low[n] + kept // 2 + 1:
+                continue
+            step, floor = least / STEPS, 0.0
+            for i in range(1, 100):
+                below = _ring_below(padded, y + reach, x + reach, guard, reach, np.float32(i * step))
+                above = n - high[n] - max(below, low[n])
+                if above <= 0 or floor > least:
+                    break
+                floor += step * above / kept
+            if floor > least * 1.00001:
+                continue
+            if above <= 0 and floor + step < least * 0.99999:
+                found[y, x] = True
                 continue
             size = 0
             for row in range(y, y + 2 * reach + 1):
@@ -88,3 +103,71 @@ def trimmed_mean(
             for i in range(low[n], n - high[n]):
                 total += ordered[i]
             found[y, x] = value * kept > factors[n] * total
+
+
+@compiled
+def _whole_row(outer_top: F64, outer_bottom: F64, inner_top: F64, inner_bottom: F64, width: int, guard: int,
+               tested: F32, scale: F64, found: B) -> None:  # fmt: skip
+    """One row of the cell-averaging test; the rows are those of the integral image at the edges of the two squares."""
+    o = outer_bottom.shape[0] - width
+    g = 2 * guard + 1
+    start = (o - g) // 2
+    a, b = outer_top[:width], outer_top[o:]
+    c, d = outer_bottom[:width], outer_bottom[o:]
+    e, f = inner_top[start : start + width], inner_top[start + g : start + g + width]
+    h, k = inner_bottom[start : start + width], inner_bottom[start + g : start + g + width]
+    for x in range(width):
+        found[x] = tested[x] > scale[x] * ((d[x] - b[x]) - (c[x] - a[x]) - ((k[x] - f[x]) - (h[x] - e[x])))
+
+
+@compiled
+def cell_averaging(padded: F32, integral: F64, scale: F64, guard: int, reach: int, found: B) -> None:
+    """Mark the cells that exceed `scale` times the sum of their training cells."""
+    height, width = found.shape
+    for y in range(height):
+        _whole_row(
+            integral[y], integral[y + 2 * reach + 1], integral[y + reach - guard], integral[y + reach + guard + 1],
+            width, guard, padded[y + reach, reach : reach + width], scale[y], found[y],
+        )  # fmt: skip
+
+
+@compiled
+def _box(integral: F64, top: int, bottom: int, left: int, right: int) -> float:
+    """Sum over rows top..bottom - 1 and columns left..right - 1."""
+    return float((integral[bottom, right] - integral[top, right]) - (integral[bottom, left] - integral[top, left]))
+
+
+@compiled
+def sided(
+    padded: F32, integral: F64, cells: F64, greatest: bool, factors: F64, guard: int, reach: int, found: B
+) -> None:  # fmt: skip
+    """Mark the cells that exceed the factor times the greatest (smallest) of the means of the window's four sides.
+
+    `cells` is the integral image of the cells that exist; `factors` (5, N) is by the sides that take part and the mean
+    number of their cells.
+    """
+    long, thick = reach + guard + 1, reach - guard
+    least = 0.5 * long * thick
+    total = np.empty(4)
+    count = np.empty(4)
+    for y in range(found.shape[0]):
+        for x in range(found.shape[1]):
+            bottom, right = y + 2 * reach + 1, x + 2 * reach + 1
+            for image, out in ((integral, total), (cells, count)):
+                out[0] = _box(image, y, y + thick, x, x + long)
+                out[1] = _box(image, y, y + long, right - thick, right)
+                out[2] = _box(image, bottom - thick, bottom, right - long, right)
+                out[3] = _box(image, bottom - long, bottom, x, x + thick)
+            best, sides, number = 0.0, 0, 0.0
+            for i in range(4):
+                if count[i] < least:
+                    continue
+                mean = total[i] / count[i]
+                if sides == 0 or (mean > best if greatest else mean < best):
+                    best = mean
+                sides += 1
+                number += count[i]
+            found[y, x] = False
+            if sides:
+                factor = factors[sides, int(number / sides + 0.5)]
+                found[y, x] = padded[y + reach, x + reach] > factor * best

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from featreg.sar.gradient_histograms import clear_of_nodata
 from featreg.sar.speckle import filled_amplitude, mean_amplitude
 from featreg.types import Image
 
@@ -24,10 +24,11 @@ F32 = NDArray[np.float32]
 WAVELENGTH, LENGTH = 4.0, 1.5
 # Standard deviations to which a filter reaches.
 REACH = 3.0
-# A side that holds less than this share of the other side's weight gives no gradient.
-LEAST_SUPPORT = 0.02
-# Side of the pieces in which an image is filtered, without their margins: filters of one size serve any image.
-PIECE = 1024
+# Pixels nearer than so many standard deviations to nodata, which counts as the mean, get no gradient.
+BLIND = 2.0
+# Side of the pieces in which an image is filtered, without their margins: a spectrum stays in the cache, and filters
+# of one size serve any image.
+PIECE = 300
 
 
 def gabor_gradients(image: Image, sigma: float, orientations: int = 6, floor: float = 0.01) -> tuple[F32, F32]:
@@ -35,7 +36,7 @@ def gabor_gradients(image: Image, sigma: float, orientations: int = 6, floor: fl
 
     Parameters
     ----------
-    image : amplitude (of any number of looks) or complex; the mask is honoured: invalid pixels have no weight
+    image : amplitude (of any number of looks) or complex; invalid pixels count as the mean amplitude
     sigma : standard deviation in pixels of the filter's envelope across the edge
     orientations : directions over half a turn, at least 2
     floor : added to both means, relative to the mean amplitude of the image
@@ -43,7 +44,7 @@ def gabor_gradients(image: Image, sigma: float, orientations: int = 6, floor: fl
     Returns
     -------
     gx, gy : (H, W) float32
-        x and (downwards) y components, towards growing amplitude; 0 at invalid pixels.
+        x and (downwards) y components, towards growing amplitude; 0 within 2 sigma of invalid pixels.
 
     Notes
     -----
@@ -58,63 +59,46 @@ def gabor_gradients(image: Image, sigma: float, orientations: int = 6, floor: fl
 
 
 def _gabor_gradients(image: Image, sigma: float, orientations: int, floor: float) -> tuple[F32, F32]:
-    small = max(floor * mean_amplitude(image), 1e-30)
+    import cv2
+
+    small = np.float32(max(floor * mean_amplitude(image), 1e-30))
     gx, gy = np.zeros((2, *image.shape), np.float32)
-    filled = filled_amplitude(image)
-    weights = None if image.all_valid else image.mask.astype(np.float32)
-    amplitude = filled if weights is None else image.amplitude
-    margin = math.ceil(REACH * sigma * max(1.0, LENGTH))
-    height, width = image.shape
-    for top in range(0, height, PIECE):
-        for left in range(0, width, PIECE):
-            box = (slice(top, min(top + PIECE, height)), slice(left, min(left + PIECE, width)))
-            _piece(amplitude, weights, box, margin, sigma, orientations, small, gx[box], gy[box])
-    if weights is not None:
-        gx[~image.mask] = 0
-        gy[~image.mask] = 0
+    margin = _reach(sigma)
+    wide = np.asarray(cv2.copyMakeBorder(filled_amplitude(image), *(margin,) * 4, cv2.BORDER_REFLECT_101), np.float32)
+    for top in range(0, image.shape[0], PIECE):
+        for left in range(0, image.shape[1], PIECE):
+            inner = np.s_[top : top + PIECE, left : left + PIECE]
+            outer = np.s_[top : top + PIECE + 2 * margin, left : left + PIECE + 2 * margin]
+            _piece(wide[outer], margin, sigma, orientations, small, gx[inner], gy[inner])
+    if not image.all_valid:
+        near = ~clear_of_nodata(image, BLIND * sigma)
+        gx[near] = 0
+        gy[near] = 0
     return gx, gy
 
 
-def _piece(
-    amplitude: F32, weights: F32 | None, box: tuple[slice, slice], margin: int, sigma: float, orientations: int,
-    small: float, gx: F32, gy: F32,
-) -> None:  # fmt: skip
-    """Fill the gradients of one piece of the image."""
+def _piece(amplitude: F32, margin: int, sigma: float, orientations: int, small: np.float32, gx: F32, gy: F32) -> None:
+    """Add the gradients of one piece of the image, which is `margin` pixels wider than they are on all sides."""
     from scipy import fft
 
     from featreg.sar import gabor_kernels
 
-    rows, columns = box
-    shape = tuple(fft.next_fast_len(s.stop - s.start + 2 * margin) for s in box)
-    spectra = [fft.fft2(_with_margin(a, rows, columns, margin, shape)) for a in (amplitude, weights) if a is not None]
-    inner = (slice(margin, margin + rows.stop - rows.start), slice(margin, margin + columns.stop - columns.start))
-    filters = half_filters(shape[0], shape[1], sigma, orientations)
-    for n, transfer in enumerate(filters):
+    # Lengths with a factor of 16: half the time of a product of threes and fives of the same size.
+    height, width = (16 * fft.next_fast_len(-(-side // 16)) for side in amplitude.shape)
+    spectrum = fft.fft2(amplitude, s=(height, width))
+    # New memory costs as much as a transform, so all directions use the same.
+    work = np.empty_like(spectrum)
+    inner = np.s_[margin : margin + gx.shape[0], margin : margin + gx.shape[1]]
+    for n, transfer in enumerate(half_filters(height, width, sigma, orientations)):
         theta = math.pi * n / orientations
-        along = np.float32(2 / orientations * math.cos(theta)), np.float32(2 / orientations * math.sin(theta))
-        means = [fft.ifft2(spectrum * transfer, overwrite_x=True)[inner] for spectrum in spectra]
-        if weights is None:
-            gabor_kernels.add_ratios(means[0], np.float32(small), *along, gx, gy)
-        else:
-            limit = np.float32(-math.log(LEAST_SUPPORT))
-            gabor_kernels.add_weighted_ratios(means[0], means[1], np.float32(small), limit, *along, gx, gy)
+        x, y = (np.float32(2 / orientations * f(theta)) for f in (math.cos, math.sin))
+        means = fft.ifft2(np.multiply(spectrum, transfer, out=work), overwrite_x=True)
+        gabor_kernels.add_ratios(means[inner], small, x, y, gx, gy)
 
 
-def _with_margin(values: F32, rows: slice, columns: slice, margin: int, shape: tuple[int, ...]) -> Any:
-    """A piece and what is around it, reflected at the border of the image, zero-padded to `shape`: complex64."""
-    height, width = values.shape
-    y = np.arange(rows.start - margin, rows.stop + margin)
-    x = np.arange(columns.start - margin, columns.stop + margin)
-    out = np.zeros(shape, np.complex64)
-    out.real[: len(y), : len(x)] = values[_reflected(y, height)[:, None], _reflected(x, width)]
-    return out
-
-
-def _reflected(index: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-    """Indices folded back into 0 .. count - 1, the border pixel not repeated."""
-    period = max(2 * count - 2, 1)
-    folded = index % period
-    return np.asarray(np.minimum(folded, period - folded) if count > 1 else 0 * folded)
+def _reach(sigma: float) -> int:
+    """Pixels to which a filter reaches."""
+    return math.ceil(REACH * sigma * max(1.0, LENGTH))
 
 
 @lru_cache(maxsize=8)
@@ -126,7 +110,7 @@ def half_filters(height: int, width: int, sigma: float, orientations: int) -> F3
     """
     from scipy import fft
 
-    reach = math.ceil(REACH * sigma * max(1.0, LENGTH))
+    reach = _reach(sigma)
     grid = np.arange(-reach, reach + 1)
     x, up = np.meshgrid(grid, -grid)
     out = np.empty((orientations, height, width), np.float32)
@@ -139,7 +123,7 @@ def half_filters(height: int, width: int, sigma: float, orientations: int) -> F3
         positive /= positive.sum()
         # Convolution looks the other way: the half that reads the pixels in direction theta is the mirrored one.
         kernel = np.zeros((height, width))
-        kernel[np.ix_(grid % height, grid % width)] = positive[::-1, ::-1]
+        np.add.at(kernel, np.ix_(grid % height, grid % width), positive[::-1, ::-1])
         spectrum = fft.fft2(kernel)
         # mean = even part, difference = odd part, whose transfer function is i * imaginary; packed: E + i * (i * O).
         out[n] = spectrum.real - spectrum.imag

@@ -13,37 +13,33 @@ C64 = NDArray[np.complex64]
 
 
 @compiled
-def _add_row(means: F32, small: np.float32, x: np.float32, y: np.float32, gx: F32, gy: F32) -> None:
-    tiny = np.float32(1e-12) * small
-    for k in range(gx.shape[0]):
+def _sides(means: F32, small: np.float32, after: F32, before: F32) -> None:
+    tiny = np.float32(1e-6) * small
+    for k in range(after.shape[0]):
         mean, half = means[2 * k] + small, means[2 * k + 1]
-        ratio = fast_log(max(mean + half, tiny) / max(mean - half, tiny))
-        gx[k] += x * ratio
-        gy[k] -= y * ratio
+        plus, minus = mean + half, mean - half
+        after[k] = plus if plus > tiny else tiny
+        before[k] = minus if minus > tiny else tiny
+
+
+@compiled
+def _log_ratio(after: F32, before: F32) -> None:
+    for k in range(after.shape[0]):
+        after[k] = fast_log(after[k] / before[k])
+
+
+@compiled
+def _add(ratio: F32, factor: np.float32, out: F32) -> None:
+    for k in range(out.shape[0]):
+        out[k] += factor * ratio[k]
 
 
 @compiled
 def add_ratios(means: C64, small: np.float32, x: np.float32, y: np.float32, gx: F32, gy: F32) -> None:
     """Add log((m + d) / (m - d)) times (x, -y) of means m + i d (H, W), where m is raised by `small`."""
+    after, before = np.empty(gx.shape[1], np.float32), np.empty(gx.shape[1], np.float32)
     for row in range(gx.shape[0]):
-        _add_row(means[row].view(np.float32), small, x, y, gx[row], gy[row])
-
-
-@compiled
-def add_weighted_ratios(
-    means: C64, weights: C64, small: np.float32, limit: np.float32, x: np.float32, y: np.float32, gx: F32, gy: F32
-) -> None:
-    """As `add_ratios`, less the log ratio of the weights on the two sides; nothing where that exceeds `limit`."""
-    for row in range(gx.shape[0]):
-        for k in range(gx.shape[1]):
-            mean, half = means[row, k].real, means[row, k].imag
-            weight, lean = weights[row, k].real, weights[row, k].imag
-            tiny = np.float32(1e-6)
-            after, before = max(weight + lean, tiny), max(weight - lean, tiny)
-            balance = fast_log(after / before)
-            if abs(balance) > limit:
-                continue
-            plus, minus = max(mean + half, np.float32(0)), max(mean - half, np.float32(0))
-            ratio = fast_log((plus + small * after) / (minus + small * before)) - balance
-            gx[row, k] += x * ratio
-            gy[row, k] -= y * ratio
+        _sides(means[row].view(np.float32), small, after, before)
+        _log_ratio(after, before)
+        _add(after, x, gx[row])
+        _add(after, -y, gy[row])

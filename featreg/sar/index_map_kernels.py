@@ -12,21 +12,26 @@ I32 = NDArray[np.int32]
 I64 = NDArray[np.int64]
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
-C64 = NDArray[np.complex64]
 
 
 @compiled
-def _scaled_row(row: C64, radial: F32, angular: F32, out: C64) -> None:
-    for x in range(out.shape[0]):
-        out[x] = row[x] * (radial[x] * angular[x])
+def _scaled_row(row: F32, radial: F32, angular: F32, out: F32) -> None:
+    for x in range(radial.shape[0]):
+        factor = radial[x] * angular[x]
+        out[2 * x] = row[2 * x] * factor
+        out[2 * x + 1] = row[2 * x + 1] * factor
 
 
 @compiled
-def filtered(spectrum: C64, radial: F32, angular: F32, out: C64) -> None:
-    """Fill `out` with the product of its first rows and columns of the three."""
-    columns = out.shape[1]
-    for y in range(out.shape[0]):
-        _scaled_row(spectrum[y, :columns], radial[y, :columns], angular[y, :columns], out[y])
+def filtered(spectrum: F32, radial: F32, angular: F32, rows: int, columns: int, out: F32) -> None:
+    """Fill the first rows and columns of `out` with the product of the three, the rest with 0.
+
+    `spectrum` and `out` (H, 2 W) hold real and imaginary parts side by side.
+    """
+    for y in range(rows):
+        _scaled_row(spectrum[y, : 2 * columns], radial[y, :columns], angular[y, :columns], out[y, : 2 * columns])
+        out[y, 2 * columns :] = 0
+    out[rows:] = 0
 
 
 @compiled
@@ -49,17 +54,17 @@ def _add_deviation(row: F32, even: F32, odd: F32, deviation: F32) -> None:
 @compiled
 def _congruency(
     even: F32, odd: F32, total: F32, largest: F32, deviation: F32,
-    noise: np.float32, eps: np.float32, spread: np.float32, gain: np.float32, cut_off: np.float32, out: F32,
+    noise: np.float32, floor: np.float32, spread: np.float32, gain: np.float32, cut_off: np.float32, out: F32,
 ) -> None:  # fmt: skip
     """Weighted energy above the noise over the sum of amplitudes.
 
     The logistic weight is (1 + tanh(z / 2)) / 2 with tanh as a quotient of polynomials, to 2e-4 for |z| < 6.
     """
-    one, half = np.float32(1), np.float32(0.5)
+    one, half, tiny = np.float32(1), np.float32(0.5), np.float32(1e-12)
     for x in range(out.shape[0]):
-        length = np.sqrt(even[x] * even[x] + odd[x] * odd[x]) + eps
+        length = np.sqrt(even[x] * even[x] + odd[x] * odd[x]) + tiny
         energy = max(length - deviation[x] / length - noise, np.float32(0))
-        width = (total[x] / (largest[x] + eps) - one) * spread
+        width = (total[x] / (largest[x] + tiny) - one) * spread
         z = min(max(half * gain * (width - cut_off), np.float32(-3)), np.float32(3))
         q = z * z
         tanh = (
@@ -67,7 +72,7 @@ def _congruency(
             * (np.float32(945) + q * (np.float32(105) + q))
             / (np.float32(945) + q * (np.float32(420) + np.float32(15) * q))
         )
-        out[x] = half * (one + tanh) * energy / (total[x] + eps)
+        out[x] = half * (one + tanh) * energy / (total[x] + floor)
 
 
 @compiled
@@ -81,14 +86,15 @@ def _add_moments(pc: F32, cosine: np.float32, sine: np.float32, xx: F32, yy: F32
 
 @compiled
 def add_orientation(
-    parts: F32, noise: np.float32, eps: np.float32, gain: np.float32, cut_off: np.float32,
+    parts: tuple[F32, ...], top: int, left: int,
+    noise: np.float32, floor: np.float32, gain: np.float32, cut_off: np.float32,
     cosine: np.float32, sine: np.float32, moments: F32, amplitude: F32,
 ) -> None:  # fmt: skip
     """Add one orientation to the (3, H, W) moments and write its summed (H, W) amplitude.
 
-    `parts` (scales, H, 2 W) holds even and odd responses side by side.
+    `parts` are the scales' responses, even and odd parts side by side; the image begins at (`top`, `left`) of them.
     """
-    scales, height, width = parts.shape[0], parts.shape[1], parts.shape[2] // 2
+    scales, height, width = len(parts), amplitude.shape[0], amplitude.shape[1]
     spread = np.float32(1.0 / max(scales - 1, 1))
     even, odd = np.empty(width, np.float32), np.empty(width, np.float32)
     largest, deviation = np.empty(width, np.float32), np.empty(width, np.float32)
@@ -101,10 +107,10 @@ def add_orientation(
         total = amplitude[y]
         total[:] = 0
         for s in range(scales):
-            _add_scale(parts[s, y], even, odd, total, largest)
+            _add_scale(parts[s][top + y, 2 * left : 2 * (left + width)], even, odd, total, largest)
         for s in range(scales):
-            _add_deviation(parts[s, y], even, odd, deviation)
-        _congruency(even, odd, total, largest, deviation, noise, eps, spread, gain, cut_off, pc)
+            _add_deviation(parts[s][top + y, 2 * left : 2 * (left + width)], even, odd, deviation)
+        _congruency(even, odd, total, largest, deviation, noise, floor, spread, gain, cut_off, pc)
         _add_moments(pc, cosine, sine, moments[0, y], moments[1, y], moments[2, y])
 
 
@@ -182,46 +188,57 @@ def _add_rows(above: I32, here: I32) -> None:
 
 
 @compiled
-def index_sums(index: U8, weight: U8, votes: I32, sums: I32) -> None:
-    """Fill the (H + 1, W + 1, bins) summed-area table of the votes of every valid pixel.
-
-    `votes` (steps, bins) says how a value of the (H, W) `index` is shared out over the bins; the last bin counts
-    valid pixels.
-    """
-    height, width = index.shape
-    bins = votes.shape[1]
-    sums[0] = 0
-    running = np.zeros(bins, np.int32)
-    for y in range(height):
-        running[:] = 0
-        sums[y + 1, 0] = 0
-        for x in range(width):
-            w = np.int32(weight[y, x])
-            if w:
-                vote = votes[index[y, x]]
-                for b in range(bins - 1):
-                    running[b] += vote[b] * w
-                running[bins - 1] += vote[bins - 1]
-            for b in range(bins):
-                sums[y + 1, x + 1, b] = running[b]
-        _add_rows(sums[y].reshape(-1), sums[y + 1].reshape(-1))
+def _add_vote(vote: I32, weight: np.int32, running: I32) -> None:
+    for b in range(running.shape[0]):
+        running[b] += vote[b] * weight
 
 
 @compiled
-def pooled(sums: I32, xs: I64, ys: I64, cells: I64, turns: I64, half: int, out: F32) -> None:
-    """Fill (N, cells, bins) sums of the votes in squares around the points' cells.
+def index_sums(index: U8, weight: U8, votes: I32, bins: int, sums: I32) -> None:
+    """Fill the summed-area table of weighted votes, a row and a column for every second pixel.
 
-    `cells` (turns, cells, 2) are (x, y) offsets of the centres, `turns` (N,) which of them a point takes; a square
-    reaches `half` pixels to each side of its centre and is cut at the border of the image.
+    `votes` (steps, lanes) says how a value of the (H, W) `index` is shared out over the bins, which `weight`
+    multiplies; lane number `bins` counts pixels with a weight. `sums` is ((H + 1) // 2 + 1, (W + 1) // 2 + 1, lanes);
+    sums of large images wrap around.
     """
-    height, width, bins = sums.shape[0] - 1, sums.shape[1] - 1, sums.shape[2]
-    for i in range(xs.shape[0]):
+    height, width = index.shape
+    sums[0] = 0
+    rows = np.zeros((sums.shape[1], votes.shape[1]), np.int32)
+    for y in range(0, height, 2):
+        rows[:] = 0
+        for line in range(y, min(y + 2, height)):
+            for x in range(width):
+                w = np.int32(weight[line, x])
+                if w:
+                    _add_vote(votes[index[line, x]], w, rows[x // 2 + 1])
+                    rows[x // 2 + 1, bins] += np.int32(1)
+        here = sums[y // 2 + 1]
+        here[0] = 0
+        for x in range(1, rows.shape[0]):
+            _add_rows(rows[x - 1], rows[x])
+        here[:] = rows
+        _add_rows(sums[y // 2].reshape(-1), here.reshape(-1))
+
+
+@compiled
+def _area(a: I32, b: I32, c: I32, d: I32, out: F32) -> None:
+    for k in range(out.shape[0]):
+        out[k] = np.float32(np.int32(d[k] - c[k] - b[k] + a[k]))
+
+
+@compiled
+def pooled(sums: I32, xs: I64, ys: I64, cells: I64, turns: I64, order: I64, half: int, out: F32) -> None:
+    """Fill (N, cells, lanes) sums of the votes in squares around the points' cells.
+
+    `cells` (turns, cells, 2) are (x, y) offsets of the centres, `turns` (N,) which of them a point takes, `order`
+    (N,) the order of work; a square reaches `half` pixels to each side of its centre, to the nearest even pixel, and
+    is cut at the border of the image. Differences of sums that wrapped around are right.
+    """
+    height, width = sums.shape[0] - 1, sums.shape[1] - 1
+    for i in order:
         table = cells[turns[i]]
         for c in range(table.shape[0]):
             x, y = xs[i] + table[c, 0], ys[i] + table[c, 1]
-            x0, x1 = min(max(x - half, 0), width), min(max(x + half + 1, 0), width)
-            y0, y1 = min(max(y - half, 0), height), min(max(y + half + 1, 0), height)
-            a, b, d, e = sums[y0, x0], sums[y0, x1], sums[y1, x0], sums[y1, x1]
-            row = out[i, c]
-            for k in range(bins):
-                row[k] = np.float32(e[k] - d[k] - b[k] + a[k])
+            x0, x1 = min(max((x - half + 1) // 2, 0), width), min(max((x + half + 2) // 2, 0), width)
+            y0, y1 = min(max((y - half + 1) // 2, 0), height), min(max((y + half + 2) // 2, 0), height)
+            _area(sums[y0, x0], sums[y0, x1], sums[y1, x0], sums[y1, x1], out[i, c])

@@ -13,6 +13,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
+from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,9 +54,9 @@ class LogGabor:
     bandwidth: float = 0.75
 
     def __post_init__(self) -> None:
-        if not (1 <= self.scales <= 8 and 4 <= self.orientations <= 24):
+        if not (1 <= self.scales <= 8 and 6 <= self.orientations <= 24):
             raise ParameterError(
-                "log-Gabor filters need 1 to 8 scales and 4 to 24 orientations, got "
+                "log-Gabor filters need 1 to 8 scales and 6 to 24 orientations, got "
                 f"{self.scales} and {self.orientations}"
             )
         if not (2 <= self.min_wavelength < 1e3 and 1 < self.multiplier < 10 and 0 < self.bandwidth < 1):
@@ -70,8 +71,8 @@ class LogGabor:
 
     @property
     def margin(self) -> int:
-        """Pixels by which an image is continued, so that nothing comes round from its other side."""
-        return math.ceil(self.wavelength(self.scales - 1))
+        """Pixels by which an image is continued on each side; together the coarsest wavelength."""
+        return math.ceil(self.wavelength(self.scales - 1) / 2)
 
 
 def responses(view: F32, bank: LogGabor) -> Iterator[C64]:
@@ -85,13 +86,23 @@ def responses(view: F32, bank: LogGabor) -> Iterator[C64]:
     Yields
     ------
     (scales, H, W) complex64
-        Even-symmetric response + j * odd-symmetric one. The array is used again for the next orientation.
+        Even-symmetric response + j * odd-symmetric one.
+    """
+    height, width = view.shape
+    for parts, top, left in padded_responses(view, bank):
+        yield np.stack([part[top : top + height, left : left + width] for part in parts])
+
+
+def padded_responses(view: F32, bank: LogGabor) -> Iterator[tuple[tuple[C64, ...], int, int]]:
+    """Yield as `responses`, without a copy: the padded arrays of the scales, and where (row, column) the image begins.
+
+    The same arrays, C-contiguous, are filled again for the next orientation; outside the image they hold no responses.
 
     Notes
     -----
-    The image is continued by reflection up to a length that the FFT likes. A one-sided filter of four or more
+    The image is continued by reflection up to a length that the FFT likes. A one-sided filter of six or more
     orientations lies in a half-plane of the spectrum, and within its radial reach: only that block is transformed
-    along the first axis, and only the image's own rows along the second.
+    along the first axis, and only the image's own rows (or columns) along the second.
     """
     from scipy import fft
 
@@ -99,29 +110,33 @@ def responses(view: F32, bank: LogGabor) -> Iterator[C64]:
 
     height, width = view.shape
     padded, top, left = _continued(view, bank.margin)
-    spectrum = np.asarray(fft.fft2(padded), np.complex64)
+    spectrum = np.asarray(fft.fft2(padded), np.complex64).view(np.float32)
     radial, angular, limits = _filters(padded.shape[0], padded.shape[1], bank)
-    out = np.empty((bank.scales, height, width), np.complex64)
+    parts = tuple(np.empty(padded.shape, np.complex64) for _ in range(bank.scales))
     for o in range(bank.orientations):
         across = _across(o, bank.orientations)
-        for s in range(bank.scales):
+        for s, part in enumerate(parts):
             rows, columns = padded.shape
             if across:
                 columns = min(columns, limits[s][1])
             else:
                 rows = min(rows, limits[s][0])
-            block = np.empty((rows, columns), np.complex64)
-            index_map_kernels.filtered(spectrum, radial[s], angular[o], block)
-            # Zero frequencies beyond the block are what `n` appends.
+            index_map_kernels.filtered(spectrum, radial[s], angular[o], rows, columns, part.view(np.float32))
+            # In place: fresh arrays would cost as much as the transforms.
             if across:
-                half = fft.ifft(block, axis=0, overwrite_x=True)[top : top + height]
-                full = fft.ifft(half, n=padded.shape[1], axis=1)
-                out[s] = full[:, left : left + width]
+                _inverse(fft, part[:, :columns], 0)
+                _inverse(fft, part[top : top + height], 1)
             else:
-                half = fft.ifft(block, axis=1, overwrite_x=True)[:, left : left + width]
-                full = fft.ifft(half, n=padded.shape[0], axis=0)
-                out[s] = full[top : top + height]
-        yield out
+                _inverse(fft, part[:rows], 1)
+                _inverse(fft, part[:, left : left + width], 0)
+        yield parts, top, left
+
+
+def _inverse(fft: ModuleType, block: C64, axis: int) -> None:
+    """Inverse FFT of a block along one axis, in place."""
+    result = fft.ifft(block, axis=axis, overwrite_x=True)
+    if not np.shares_memory(result, block):  # `overwrite_x` is a permission, not a promise
+        block[...] = result
 
 
 def _across(orientation: int, orientations: int) -> bool:

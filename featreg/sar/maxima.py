@@ -22,15 +22,12 @@ def local_maxima(response: F32, allowed: BoolArray, threshold: float, most: int)
 
     Notes
     -----
-    A pixel counts where no other of its 3 x 3 neighbourhood is higher; of a plateau every pixel does.
+    A pixel counts where it is the highest of its 3 x 3 neighbourhood; of equal ones the first in reading order does.
     """
-    import cv2
+    from featreg.sar import harris_kernels
 
-    highest = cv2.dilate(response, np.ones((3, 3), np.uint8))
-    peak = (response == highest) & (response > threshold) & allowed
-    peak[[0, -1]] = False
-    peak[:, [0, -1]] = False
-    flat = np.flatnonzero(peak)
+    room = np.empty(response.size // 4 + 1, np.int64)
+    flat = room[: harris_kernels.collect_peaks(response, allowed.view(np.uint8), np.float32(threshold), room)]
     value = -response.ravel()[flat]
     if len(flat) > most:
         near = value <= np.partition(value, most - 1)[most - 1]

@@ -1,0 +1,67 @@
+"""Outlier cancellation of OBCLS: the equations that fit worst go, step by step, by the median absolute deviation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from featreg.interfaces import FailedFit, Filter, FilterContext
+from featreg.registry import register
+from featreg.sar.cancellation import cancelled, check
+from featreg.types import BoolArray, FloatArray, Matches
+
+
+@register("mad")
+@dataclass(frozen=True)
+class Mad(Filter):
+    """Cancel the tie points that fit worst, step by step, by the median absolute deviation of the errors.
+
+    Parameters
+    ----------
+    cancellation : whether to cancel at all; if not, every tie point is kept
+    threshold : "mad" (kappa times the scaled median absolute deviation, the letter of the paper's Eq. 4) or
+        "median+mad" (the same above the median of the errors)
+    kappa_first, kappa_last, kappa_step : kappa falls from the first to the last
+
+    Notes
+    -----
+    The errors are those of the least-squares fit of the context's model to what is left, with equal weights as in the
+    paper (Eq. 3); see `featreg.sar.cancellation.cancelled`. Needs more good tie points than bad ones: the first fit is
+    to all of them.
+
+    References
+    ----------
+    L. Pallotta, G. Giunta, C. Clemente, J. J. Soraghan, "SAR coregistration by robust selection of extended targets and
+    iterative outlier cancellation", IEEE Geosci. Remote Sens. Lett., section III
+    """
+
+    cancellation: bool = True
+    threshold: str = "median+mad"
+    kappa_first: float = 3.0
+    kappa_last: float = 2.0
+    kappa_step: float = 0.25
+
+    def __post_init__(self) -> None:
+        check(self.threshold, self.kappa_first, self.kappa_last, self.kappa_step)
+
+    def keep(self, matches: Matches, context: FilterContext) -> BoolArray:
+        """Return what was not cancelled; all False where the tie points cannot be fitted."""
+        if not self.cancellation:
+            return np.ones(len(matches), np.bool_)
+
+        def errors_of(kept: BoolArray) -> FloatArray | None:
+            model = context.model.from_estimate(matches.reference_xy[kept], matches.secondary_xy[kept])
+            if isinstance(model, FailedFit):
+                return None
+            return model.residuals(matches.reference_xy, matches.secondary_xy)
+
+        return cancelled(
+            errors_of,
+            len(matches),
+            threshold=self.threshold,
+            first=self.kappa_first,
+            last=self.kappa_last,
+            step=self.kappa_step,
+            least=context.model.minimum + 1,
+        )

@@ -1,0 +1,80 @@
+"""The baseline of OBCLS: tie points by the correlation of patches on a uniform grid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from featreg.errors import ParameterError, suggest
+from featreg.geometry import Rigid
+from featreg.interfaces import Matcher
+from featreg.registry import register
+from featreg.sar.association import Map
+from featreg.sar.patch_location import SAMPLES, PatchLocation
+from featreg.timing import stage
+from featreg.types import FloatArray, Image, Matches
+
+
+@register("patch-grid")
+@dataclass(frozen=True)
+class PatchGrid(Matcher):
+    """Tie points at the correlation peaks of patches on a uniform grid, for images that are nearly aligned.
+
+    Parameters
+    ----------
+    tie_points : "cc" (peak of the modulus of the complex correlation) or "rc" (of the correlation of the amplitudes)
+    patch, patch_width : height and width of the patches, px; a width of 0 is that of the height
+    step : distance of neighbouring patches along both axes, px; 0 for patches that touch
+    subpixel : whether the correlation peak is interpolated
+    passes : the secondary is aligned by what a pass found and correlated again, at most so often in all
+    zeros_are_data : whether areas of exactly zero amplitude are data
+
+    Notes
+    -----
+    The shift between the images must stay below a patch. The patches' means are removed.
+
+    References
+    ----------
+    L. Pallotta, G. Giunta, C. Clemente, "SAR image registration in the presence of rotation and translation: a
+    constrained least squares approach", IEEE Geosci. Remote Sens. Lett. 18(9), 1595-1599, 2021, as described in L.
+    Pallotta et al., "SAR coregistration by robust selection of extended targets and iterative outlier cancellation"
+    """
+
+    tie_points: str = "rc"
+    patch: int = 100
+    patch_width: int = 0
+    step: int = 0
+    subpixel: bool = True
+    passes: int = 1
+    zeros_are_data: bool = False
+
+    def __post_init__(self) -> None:
+        if self.tie_points not in SAMPLES:
+            raise ParameterError(
+                f"patch-grid: unknown tie_points '{self.tie_points}', {suggest(self.tie_points, SAMPLES)}"
+            )
+        if self.patch < 4 or self.patch_width < 0 or self.step < 0 or self.passes < 1:
+            raise ParameterError(
+                "patch-grid needs patch >= 4, patch_width >= 0, step >= 0 and passes >= 1, got "
+                f"{self.patch}, {self.patch_width}, {self.step} and {self.passes}"
+            )
+
+    def match(self, reference: Image, secondary: Image) -> Matches:
+        """Return one tie point per patch that holds something, wrong ones included."""
+        shape = np.minimum(reference.shape, secondary.shape)
+        size = np.minimum((self.patch, self.patch_width or self.patch), shape)
+        y, x = (
+            np.arange(extent // 2, length - (extent - 1) // 2, self.step or extent)
+            for extent, length in zip(size, shape, strict=True)
+        )
+        grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2).astype(np.float64)
+        way = PatchLocation(
+            self.tie_points, (int(size[0]), int(size[1])), self.passes, self.subpixel, False, self.zeros_are_data
+        )
+        with stage("tie points"):
+            return way.locate(reference, secondary, grid, grid, _fitted)
+
+
+def _fitted(reference_xy: FloatArray, secondary_xy: FloatArray) -> Map | None:
+    return Rigid.from_estimate(reference_xy, secondary_xy) or None

@@ -1,0 +1,183 @@
+"""GOF: ratio gradients of odd Gabor filters, their descriptor, and the presets built on it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import featreg
+from featreg import registry
+from featreg.errors import ParameterError
+from featreg.io import as_image
+from featreg.sar import gabor
+from featreg.sar.gabor import gabor_gradients, half_filters
+from featreg.simulate import SimulatedPair
+from featreg.types import Features, Image
+
+Texture = Callable[..., NDArray[np.float32]]
+
+
+def halves(image: NDArray[np.float32], sigma: float, theta: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Plain weighted means on the side towards theta (counter-clockwise as seen) and on the other side."""
+    from scipy.ndimage import correlate
+
+    reach = math.ceil(3 * sigma * 1.5)
+    x, up = np.meshgrid(np.arange(-reach, reach + 1), np.arange(reach, -reach - 1, -1))
+    u = x * math.cos(theta) + up * math.sin(theta)
+    v = up * math.cos(theta) - x * math.sin(theta)
+    wave = np.exp(-(u**2 + (v / 1.5) ** 2) / (2 * sigma**2)) * np.sin(math.pi * u / (2 * sigma))
+    after, before = np.maximum(wave, 0), np.maximum(-wave, 0)
+    return tuple(correlate(image.astype(np.float64), k / k.sum(), mode="mirror") for k in (after, before))  # type: ignore[return-value]
+
+
+@pytest.mark.parametrize(("sigma", "orientations"), [(2.0, 4), (1.4, 6), (3.0, 2)])
+def test_gradients_are_the_projected_log_ratios_of_the_halves(
+    sar_texture: Texture, sigma: float, orientations: int
+) -> None:
+    amplitude = sar_texture(90, 110)
+    floor = 0.01 * amplitude.mean()
+    wanted = np.zeros((2, *amplitude.shape))
+    for n in range(orientations):
+        theta = math.pi * n / orientations
+        after, before = halves(amplitude, sigma, theta)
+        ratio = np.log((after + floor) / (before + floor)) * 2 / orientations
+        wanted += np.array([math.cos(theta), -math.sin(theta)])[:, None, None] * ratio
+    found = gabor_gradients(as_image(amplitude), sigma, orientations)
+    np.testing.assert_allclose(found, wanted, atol=2e-4)
+
+
+def test_pieces_fit_together(sar_texture: Texture, monkeypatch: pytest.MonkeyPatch) -> None:
+    amplitude = sar_texture(130, 150)
+    whole = gabor_gradients(as_image(amplitude), 2.0)
+    monkeypatch.setattr(gabor, "PIECE", 50)
+    np.testing.assert_allclose(gabor_gradients(as_image(amplitude), 2.0), whole, atol=1e-4)
+
+
+@pytest.mark.parametrize("angle", [0.0, 30.0, 75.0, 140.0, 250.0])
+def test_the_gradient_points_towards_the_bright_side(angle: float) -> None:
+    t = math.radians(angle)
+    y, x = np.mgrid[:80, :80]
+    edge = as_image(np.where((x - 40) * math.cos(t) - (y - 40) * math.sin(t) > 0, 3.0, 1.0).astype(np.float32))
+    gx, gy = gabor_gradients(edge, 2.0, 8)
+    found = math.degrees(math.atan2(-gy[40, 40], gx[40, 40]))
+    assert abs(math.remainder(found - angle, 360)) < 6
+
+
+def test_gain_drops_out_and_a_flat_image_has_no_gradient(sar_texture: Texture) -> None:
+    amplitude = sar_texture(80, 80)
+    first, second = (gabor_gradients(as_image(amplitude * np.float32(g)), 2.0) for g in (1, 300))
+    np.testing.assert_allclose(first, second, atol=1e-3)
+    flat = Image(np.full((70, 60), 5.0, np.float32), np.ones((70, 60), np.bool_))
+    np.testing.assert_allclose(gabor_gradients(flat, 2.0), 0, atol=1e-5)
+
+
+def test_speckle_spreads_alike_on_dark_and_bright_ground() -> None:
+    """What a ratio is for: the gradient of pure speckle does not depend on the mean."""
+    speckle = np.sqrt(np.random.default_rng(0).gamma(4, 0.25, (100, 200))).astype(np.float32)
+    ground = np.where(np.arange(200) < 100, 1, 20).astype(np.float32)
+    gx, _ = gabor_gradients(as_image(speckle * ground), 2.0, floor=0.0)
+    assert gx[:, 15:85].std() == pytest.approx(gx[:, 115:185].std(), rel=0.1)
+
+
+def test_what_lies_under_the_mask_has_no_influence(sar_texture: Texture) -> None:
+    amplitude = sar_texture(100, 100)
+    mask = np.ones(amplitude.shape, np.bool_)
+    mask[40:60, 40:60] = False
+    first, second = (
+        gabor_gradients(as_image(a, mask=mask), 2.0)
+        for a in (amplitude, np.where(mask, amplitude, 77).astype(np.float32))
+    )
+    np.testing.assert_array_equal(first, second)
+    for component in first:
+        assert not component[36:64, 36:64].any()
+        assert component[30, 30] != 0
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 40), (3, 200), (7, 5)])
+def test_images_smaller_than_the_filter(shape: tuple[int, int]) -> None:
+    amplitude = np.random.default_rng(0).uniform(1, 2, shape).astype(np.float32)
+    picture = Image(amplitude, np.ones(shape, np.bool_))
+    for component in gabor_gradients(picture, 4.0):
+        assert component.shape == shape
+        assert np.isfinite(component).all()
+
+
+def test_filters_hold_means() -> None:
+    """Both halves have unit sum: of a constant image the mean is that constant and the difference 0."""
+    filters = half_filters(64, 80, 2.0, 4)
+    np.testing.assert_allclose(filters[:, 0, 0], 1, atol=1e-6)
+
+
+# Descriptor
+
+
+def at(xy: Any, scale: float = 20.0, angle: float = 0.0) -> Features:
+    xy = np.asarray(xy, np.float64)
+    return Features(xy, scale, angle, np.ones(len(xy)), np.zeros(len(xy), np.int64))  # type: ignore[arg-type]
+
+
+def describe(picture: Image, features: Features, **parameters: Any) -> NDArray[np.float32]:
+    found = registry.create("descriptor", "gabor-odd", **parameters).describe_features(picture, features).descriptors
+    assert found is not None
+    return found.astype(np.float32)
+
+
+@pytest.mark.parametrize("scales", [1, 4])
+def test_turning_image_and_point_by_a_quarter_keeps_the_descriptor(sar_texture: Texture, scales: int) -> None:
+    amplitude = sar_texture(200, 220)
+    xy = np.random.default_rng(0).integers(50, 150, (40, 2)).astype(np.float64)
+    turned = np.column_stack([xy[:, 1], amplitude.shape[1] - 1 - xy[:, 0]])
+    before = describe(as_image(amplitude), at(xy, angle=0.4), scales=scales)
+    after = describe(as_image(np.rot90(amplitude).copy()), at(turned, angle=0.4 + math.pi / 2), scales=scales)
+    likeness = np.einsum("ij,ij->i", before, after)
+    assert likeness.min() > 0.97
+    np.testing.assert_allclose(np.linalg.norm(before, axis=1), 1, rtol=1e-5)
+
+
+def test_scales_are_told_apart(sar_texture: Texture) -> None:
+    picture, points = as_image(sar_texture()), at([[100, 100], [60, 120]])
+    one, four = describe(picture, points), describe(picture, points, scales=4)
+    assert one.shape == four.shape == (2, 136)
+    assert np.abs(one - four).max() > 0.02
+    np.testing.assert_allclose(describe(picture, points, scales=1, factor=3.0), one)
+
+
+@pytest.mark.parametrize("name", ["s-gof", "m-gof"])
+def test_a_known_warp_is_found(pair: SimulatedPair, name: str) -> None:
+    found = featreg.match(pair.reference, pair.secondary, method=name, n_features=1500, refine=False)
+    assert found.status == "ok"
+    assert found.model
+    points = np.array([[x, y] for x in (20.0, 150.0, 280.0) for y in (20.0, 150.0, 280.0)])
+    error = found.model(points) - (points @ pair.truth[:, :2].T + pair.truth[:, 2])
+    assert np.hypot(*error.T).max() < 1.0
+
+
+@pytest.mark.parametrize("detector", ["sar-ofast", "sift", "fast"])
+def test_any_detector_will_do(pair: SimulatedPair, detector: str) -> None:
+    found = featreg.match(
+        pair.reference, pair.secondary, method="s-gof", detector=registry.create("detector", detector), refine=False
+    )
+    assert len(found.matches) > 50
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        {"scales": 0},
+        {"sigma": 0.1},
+        {"sigma": float("nan")},
+        {"orientations": 1},
+        {"factor": 1.0},
+        {"step": 0.0},
+        {"floor": -1.0},
+    ],
+    ids=str,
+)
+def test_impossible_parameters_are_refused(parameters: dict[str, Any]) -> None:
+    with pytest.raises(ParameterError):
+        registry.create("descriptor", "gabor-odd", **parameters)
