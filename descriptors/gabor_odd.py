@@ -39,9 +39,9 @@ class GaborOdd(Descriptor):
     a ratio and its inverse count alike), the gradient its projection on the axes (see `featreg.sar.gabor`); several
     scales are joined by adding their normalised histograms, which keeps the length and counts every scale alike; any
     detector's keypoints may be described, those kept being the ones of the highest score. Three directions match as
-    well as four, six or eight. Cells are GLOH's 17 instead of SIFT's 16 square ones. Filters of larger sigma run on a halved
-    image. What lies outside the image or near nodata counts as no gradient; only keypoints that lie there themselves,
-    or have no gradient around them, are dropped.
+    well as four, six or eight. Cells are GLOH's 17 instead of SIFT's 16 square ones. Filters of larger sigma run on a
+    halved image. What lies outside the image or near nodata counts as no gradient; only keypoints that lie there
+    themselves, or have no gradient around them, are dropped.
     """
 
     scales: int = 1

@@ -296,7 +296,7 @@ class Matches(_ReadOnly):
     Parameters
     ----------
     reference_xy, secondary_xy : (M, 2) float64 pixel coordinates
-    score : (M,) float64, higher is better
+    score : (M,) float64, higher is better, NaN where unknown
     covariance : (M, 2, 2) float64 px^2 of the secondary position, or None
     origin : (M,) int64 row of the match that a refined one came from, else -1
     rotation : (M,) float64 radians, secondary minus reference feature angle, or None where unknown
@@ -318,7 +318,7 @@ class Matches(_ReadOnly):
         m = len(self.reference_xy)
         if len(self.secondary_xy) != m:
             raise InputError(f"as many reference as secondary points are needed, got {m} and {len(self.secondary_xy)}")
-        put(self, "score", finite(column(self.score, m, "Matches.score"), "Matches.score"))
+        put(self, "score", column(self.score, m, "Matches.score"))
         put(self, "origin", column(self.origin, m, "Matches.origin", np.int64))
         for name in ("rotation", "scale_ratio"):
             if getattr(self, name) is not None:
