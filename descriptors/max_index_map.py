@@ -61,10 +61,10 @@ class MaxIndexMap(Descriptor):
     Departures, the paper's form behind a parameter: smaller cells (9 instead of 16 px), whose histograms tell
     neighbouring points apart; votes weighted by the edge map, because where there is no edge the index is noise; shared
     out and compressed votes; an index with a fraction, which turns by any angle instead of whole indices (see
-    `featreg.sar.phase_congruency`). Cells stay upright squares whose centres turn with the keypoint, read from a
-    summed-area table. Cells off the image, on nodata or on a black rim are left out as if they were average, so that
-    points near a border need not be dropped and the shape of the border does not look like content; a point with too
-    few cells left is dropped.
+    `featreg.sar.phase_congruency`). Cells stay upright squares, whose centres turn with the keypoint, read to even
+    pixels from a summed-area table. Cells off the image, on nodata or on a black rim are left out as if they were
+    average, so that points near a border need not be dropped and the shape of the border does not look like content; a
+    point with too few cells left is dropped.
     """
 
     patch: float = 63.0
@@ -75,10 +75,10 @@ class MaxIndexMap(Descriptor):
     centred: bool = True
     least: float = 0.6
     reindex: str = "angle"
-    scales: int = 3
+    scales: int = 2
     orientations: int = 6
     min_wavelength: float = 4.0
-    multiplier: float = 2.0
+    multiplier: float = 3.0
     bandwidth: float = 0.5
     noise: float = 0.0
     floor: float = 0.1

@@ -45,7 +45,8 @@ class PhaseCongruency(Detector):
     J. Li, Q. Hu, M. Ai, "RIFT: multi-modal image matching based on radiation-variation insensitive feature transform",
     IEEE TIP 29 (2020) 3296, DOI 10.1109/TIP.2019.2959244, Eq. 1 to 10. Departures: the edge points are FAST corners of
     the maximum moment, as in the authors' program; scales, wavelengths, bandwidth, noise, floor and view are those that
-    find SAR corners again (`featreg.sar.phase_congruency` says why; the preset rift-paper holds the paper's);
+    find SAR corners again (`featreg.sar.phase_congruency` says why; the preset rift-paper holds the paper's): two broad
+    filters at 4 and 12 px do as well as four narrow ones, in half the time;
     positions are sub-pixel, which lowers the error of points found again from 0.94 to 0.79 px; the angle, towards the
     centroid of the edge map, does not depend on how a sensor maps brightness.
     """
@@ -56,10 +57,10 @@ class PhaseCongruency(Detector):
     support: float = SUPPORT
     subpixel: str = "centroid"
     sigma: float = 1.0
-    scales: int = 3
+    scales: int = 2
     orientations: int = 6
     min_wavelength: float = 4.0
-    multiplier: float = 2.0
+    multiplier: float = 3.0
     bandwidth: float = 0.5
     noise: float = 0.0
     floor: float = 0.1

@@ -6,10 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from featreg.errors import ParameterError
 from featreg.interfaces import FailedFit, Filter, FilterContext
 from featreg.registry import register
+from featreg.robust import fit_consensus
 from featreg.sar.cancellation import cancelled, check
 from featreg.types import BoolArray, FloatArray, Matches
+
+STARTS = ("all", "consensus")
 
 
 @register("mad")
@@ -22,13 +26,14 @@ class Mad(Filter):
     cancellation : whether to cancel at all; if not, every tie point is kept
     threshold : "mad" (kappa times the scaled median absolute deviation, the letter of the paper's Eq. 4) or
         "median+mad" (the same above the median of the errors)
+    start : of what the first fit is: "all" tie points, or the largest "consensus" among them within `start_px`
+    start_px : px
     kappa_first, kappa_last, kappa_step : kappa falls from the first to the last
 
     Notes
     -----
     The errors are those of the least-squares fit of the context's model to what is left, with equal weights as in the
-    paper (Eq. 3); see `featreg.sar.cancellation.cancelled`. Needs more good tie points than bad ones: the first fit is
-    to all of them.
+    paper (Eq. 3); see `featreg.sar.cancellation.cancelled`. From a first fit to all tie points, most must be good.
 
     References
     ----------
@@ -38,12 +43,18 @@ class Mad(Filter):
 
     cancellation: bool = True
     threshold: str = "median+mad"
+    start: str = "all"
+    start_px: float = 3.0
     kappa_first: float = 3.0
     kappa_last: float = 2.0
     kappa_step: float = 0.25
 
     def __post_init__(self) -> None:
         check(self.threshold, self.kappa_first, self.kappa_last, self.kappa_step)
+        if self.start not in STARTS or not self.start_px > 0:
+            raise ParameterError(
+                f"mad: start must be 'all' or 'consensus' and start_px > 0, got '{self.start}' and {self.start_px}"
+            )
 
     def keep(self, matches: Matches, context: FilterContext) -> BoolArray:
         """Return what was not cancelled; all False where the tie points cannot be fitted."""
@@ -56,6 +67,11 @@ class Mad(Filter):
                 return None
             return model.residuals(matches.reference_xy, matches.secondary_xy)
 
+        first = None
+        if self.start == "consensus":
+            _, first = fit_consensus(
+                context.model, matches.reference_xy, matches.secondary_xy, threshold=self.start_px, rng=context.rng
+            )
         return cancelled(
             errors_of,
             len(matches),
@@ -64,4 +80,5 @@ class Mad(Filter):
             last=self.kappa_last,
             step=self.kappa_step,
             least=context.model.minimum + 1,
+            start=first,
         )

@@ -110,9 +110,11 @@ def test_the_index_is_the_normal_of_an_edge(degrees: int) -> None:
 
 def test_congruency_does_not_depend_on_contrast_or_its_sign() -> None:
     maps = []
-    for contrast in (0.2, 1.0, -1.0):
+    for contrast in (1.0, 0.2, 5.0, -1.0):
         relative = edge(0.4, contrast)
-        largest, smallest, _, _ = congruency_maps(relative, LogGabor(), Congruency(floor=1e-6, view="amplitude"))
+        largest, smallest, _, _ = congruency_maps(
+            relative, LogGabor(min_wavelength=6.0), Congruency(floor=1e-6, view="amplitude")
+        )
         maps.append(np.stack([largest, smallest])[:, 60:68, 60:68])
     for other in maps[1:]:
         assert np.abs(other - maps[0]).max() < 0.02 * maps[0].max()
@@ -296,12 +298,13 @@ def test_summed_areas_hold_the_counts_also_where_they_wrap_around() -> None:
     weight = rng.integers(0, 256, (40, 50)).astype(np.uint8)
     votes = np.zeros((4, 8), np.int32)
     votes[np.arange(4), np.arange(4)] = 1 << 18  # 2^18 * 255 * 2000 pixels is far beyond 2^31, a cell's sum is not
-    sums = np.empty((41, 51, 8), np.int32)
+    sums = np.empty((21, 26, 8), np.int32)
     kernels.index_sums(index, weight, votes, 4, sums)
     out = np.empty((2, 1, 8), np.float32)
     cells, turns = np.zeros((1, 1, 2), np.int64), np.zeros(2, np.int64)
     kernels.pooled(sums, np.array([25, 49]), np.array([30, 39]), cells, turns, np.array([1, 0]), 2, out)
-    squares = (slice(28, 33), slice(23, 28)), (slice(37, 40), slice(47, 50))
+    # To even pixels, and cut at the border.
+    squares = (slice(28, 34), slice(24, 28)), (slice(38, 40), slice(48, 50))
     for found, (rows, columns) in zip(out[:, 0], squares, strict=True):
         part, w = index[rows, columns], weight[rows, columns].astype(np.int64)
         wanted = [(w * (part == k)).sum() * (1 << 18) for k in range(4)]

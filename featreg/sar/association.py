@@ -34,6 +34,8 @@ ANGLES = 720
 #: Turns, shifts of each, and maps of all of these that are looked at.
 PEAKS, SHIFTS, VERIFIED = 8, 3, 8
 CELL = 4.0
+#: Share of the winner's pairs that makes another map its rival.
+RIVAL = 0.9
 #: Distances in px within which a verification pairs targets, round by round.
 RADII = (8.0, 5.0, 4.0, 4.0)
 
@@ -87,16 +89,25 @@ def vote(
     Two targets keep their distance under rotation and shift. Every two reference targets and every two secondary ones
     that are equally far apart vote for the turn between their directions; for each of the most voted turns, the targets
     themselves vote for the shift; each of the resulting maps pairs targets one to one, is fitted to its pairs, pairs
-    again within a smaller radius, and the one that pairs most wins.
+    again within a smaller radius, and the one that pairs most wins. Where another pairs nearly as many, the targets do
+    not tell which is true (those of a regular row, for example), and none wins.
     """
     here, there = reference_xy[:VOTERS], secondary_xy[:VOTERS]
     ways = [(*way, turn) for turn in _turns(here, there) for way in _shifts(_turned(here, turn), there)]
-    best = Association.none()
-    for _, shift, turn in sorted(ways, key=lambda way: -way[0])[:VERIFIED]:
-        found = verified(reference_xy, secondary_xy, _rigid(turn, shift), fit, shape)
-        if len(found.pairs) > len(best.pairs):
-            best = found
-    return best
+    found = [
+        verified(reference_xy, secondary_xy, _rigid(turn, shift), fit, shape)
+        for _, shift, turn in sorted(ways, key=lambda way: -way[0])[:VERIFIED]
+    ]
+    best = max(found, key=lambda one: len(one.pairs), default=Association.none())
+    rivals = [one for one in found if len(one.pairs) > RIVAL * len(best.pairs) and _differ(one, best, here)]
+    return Association.none() if rivals else best
+
+
+def _differ(first: Association, second: Association, xy: FloatArray) -> bool:
+    """Whether two associations are different explanations of the targets."""
+    if first.map is None or second.map is None:
+        return False
+    return float(np.hypot(*(first.map(xy) - second.map(xy)).T).max()) > 2 * RADII[0]
 
 
 def verified(

@@ -34,6 +34,7 @@ def cancelled(
     last: float = 2.0,
     step: float = 0.25,
     least: int = 3,
+    start: BoolArray | None = None,
 ) -> BoolArray:
     """Return which equations remain after those with the largest errors were cancelled step by step.
 
@@ -45,7 +46,8 @@ def cancelled(
     threshold : "mad" (eta is kappa times the scaled median absolute deviation of the errors, the letter of Eq. 4) or
         "median+mad" (the same above the median of the errors)
     first, last, step : kappa falls from first to last
-    least : fewest equations that may remain; a step that would leave fewer is not taken
+    least : fewest equations that may remain; a step that would leave fewer adds the median to eta too
+    start : (count,) equations of the first fit; None for all. Those beyond them that fit it are taken back
 
     Returns
     -------
@@ -60,33 +62,39 @@ def cancelled(
     -----
     Eq. 3 and 4 of L. Pallotta, G. Giunta, C. Clemente, J. J. Soraghan, "SAR coregistration by robust selection of
     extended targets and iterative outlier cancellation", IEEE Geosci. Remote Sens. Lett. Departures: eta is at
-    least a millionth of a pixel, so that errors which are all zero cancel nothing; and `least`.
+    least a millionth of a pixel, so that errors which are all zero cancel nothing; and `least`, for where
+    all errors are about as large, the letter's eta lies below all of them.
     Errors are lengths, so their median is not near 0: the letter's threshold cuts off a part of the good equations at
     every step and leaves about a third of them, the most accurate ones of the current fit.
     """
     check(threshold, first, last, step)
     keep = np.ones(count, np.bool_)
+    used = keep if start is None or start.sum() < least else start
     # The small number lets the last kappa in whatever the rounding of the steps before.
     for kappa in np.arange(first, last - 1e-9, -step):
-        errors = errors_of(keep)
+        errors = errors_of(used)
         if errors is None:
             return np.zeros(count, np.bool_)
-        eta = _eta(errors[keep], float(kappa), threshold)
+        eta = _eta(errors[used], float(kappa), threshold)
         remain = keep & (errors <= eta)
         if remain.sum() < least:
+            remain = keep & (errors <= eta + np.median(errors[used]))
+        if remain.sum() < least:
             break
-        keep = remain
+        keep = used = remain
     return keep
 
 
-def cancelled_fit(fit: Fit, reference_xy: FloatArray, secondary_xy: FloatArray) -> tuple[Map | None, BoolArray]:
+def cancelled_fit(
+    fit: Fit, reference_xy: FloatArray, secondary_xy: FloatArray, start: BoolArray | None = None
+) -> tuple[Map | None, BoolArray]:
     """Return the map fitted to what `cancelled` leaves of (M, 2) and (M, 2) points, or None, and what that is (M,)."""
 
     def errors_of(kept: BoolArray) -> FloatArray | None:
         found = fit(reference_xy[kept], secondary_xy[kept])
         return None if found is None else np.hypot(*(found(reference_xy) - secondary_xy).T)
 
-    keep = cancelled(errors_of, len(reference_xy))
+    keep = cancelled(errors_of, len(reference_xy), start=start)
     return fit(reference_xy[keep], secondary_xy[keep]), keep
 
 

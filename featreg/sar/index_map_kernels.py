@@ -23,15 +23,18 @@ def _scaled_row(row: F32, radial: F32, angular: F32, out: F32) -> None:
 
 
 @compiled
-def filtered(spectrum: F32, radial: F32, angular: F32, rows: int, columns: int, out: F32) -> None:
-    """Fill the first rows and columns of `out` with the product of the three, the rest with 0.
+def filtered(spectrum: F32, radial: F32, angular: F32, limits: I64, parts: tuple[F32, ...]) -> None:
+    """Fill the first rows and columns of every part with the product of spectrum and filter, the rest with 0.
 
-    `spectrum` and `out` (H, 2 W) hold real and imaginary parts side by side.
+    `spectrum` and `parts` (H, 2 W) hold real and imaginary parts side by side; `radial` (scales, H, W), `angular`
+    (H, W); `limits` (scales, 2) are the rows and columns to fill. Row by row, so that what scales share is read once.
     """
-    for y in range(rows):
-        _scaled_row(spectrum[y, : 2 * columns], radial[y, :columns], angular[y, :columns], out[y, : 2 * columns])
-        out[y, 2 * columns :] = 0
-    out[rows:] = 0
+    for y in range(spectrum.shape[0]):
+        for s in range(len(parts)):
+            out = parts[s][y]
+            columns = limits[s, 1] if y < limits[s, 0] else 0
+            _scaled_row(spectrum[y, : 2 * columns], radial[s, y, :columns], angular[y, :columns], out[: 2 * columns])
+            out[2 * columns :] = 0
 
 
 @compiled

@@ -115,13 +115,10 @@ def padded_responses(view: F32, bank: LogGabor) -> Iterator[tuple[tuple[C64, ...
     parts = tuple(np.empty(padded.shape, np.complex64) for _ in range(bank.scales))
     for o in range(bank.orientations):
         across = _across(o, bank.orientations)
-        for s, part in enumerate(parts):
-            rows, columns = padded.shape
-            if across:
-                columns = min(columns, limits[s][1])
-            else:
-                rows = min(rows, limits[s][0])
-            index_map_kernels.filtered(spectrum, radial[s], angular[o], rows, columns, part.view(np.float32))
+        size = np.array(padded.shape)
+        used = np.minimum(size, [[size[0], columns] if across else [rows, size[1]] for rows, columns in limits])
+        index_map_kernels.filtered(spectrum, radial, angular[o], used, tuple(part.view(np.float32) for part in parts))
+        for part, (rows, columns) in zip(parts, used, strict=True):
             # In place: fresh arrays would cost as much as the transforms.
             if across:
                 _inverse(fft, part[:, :columns], 0)

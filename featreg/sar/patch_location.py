@@ -18,6 +18,8 @@ from featreg.types import BoolArray, FloatArray, Image, IntArray, Matches
 
 #: A further pass is not worth its time where the last one moved no corner by more than this, px.
 STILL = 0.02
+#: Shifts in px within which the peaks of aligned patches are taken for good at first.
+NEAR = 8.0
 SAMPLES = ("cc", "rc")
 
 
@@ -94,7 +96,8 @@ class PatchLocation:
         usable = found.height > 0
         here, there = here[usable], (moved if current is None else current(moved))[usable]
         found = Peaks(*(getattr(found, name)[usable] for name in Peaks.__dataclass_fields__))
-        again, keep = cancelled_fit(fit, here, there)
+        near = None if current is None else np.hypot(*found.shift.T) <= NEAR
+        again, keep = cancelled_fit(fit, here, there, near)
         covariance = None if again is None else _covariance(found, there - again(here), keep)
         return Matches(here, there, np.clip(found.height, 0, 1), covariance), again
 

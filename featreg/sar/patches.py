@@ -45,7 +45,9 @@ def patch_shifts(
     height 0 and are not sound.
     """
     parts = [
-        _batch(first, second, first_at[i : i + BATCH], second_at[i : i + BATCH], size, first_valid, second_valid, padded)
+        _batch(
+            first, second, first_at[i : i + BATCH], second_at[i : i + BATCH], size, first_valid, second_valid, padded
+        )
         for i in range(0, max(len(first_at), 1), BATCH)
     ]
     return Peaks(*(np.concatenate([getattr(p, name) for p in parts]) for name in Peaks.__dataclass_fields__))

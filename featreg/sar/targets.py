@@ -89,7 +89,8 @@ def _covered(image: Image) -> BoolArray:
     if not dark.any():
         return image.mask
     area = cv2.morphologyEx(dark, cv2.MORPH_OPEN, np.ones((5, 5), np.uint8))
-    return image.mask & (np.asarray(area) == 0)
+    data: BoolArray = image.mask & (np.asarray(area) == 0)
+    return data
 
 
 def order_filter(binary: BoolArray, order: int = 17, side: int = 5) -> BoolArray:
@@ -97,7 +98,8 @@ def order_filter(binary: BoolArray, order: int = 17, side: int = 5) -> BoolArray
 
     Of a binary map that is True where more than side^2 - order neighbours are.
     """
-    return np.asarray(_count(binary, side) > side * side - order)
+    reached: BoolArray = _count(binary, side) > side * side - order
+    return reached
 
 
 def median_filter(binary: BoolArray, side: int = 7) -> BoolArray:
