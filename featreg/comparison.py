@@ -5,9 +5,8 @@ from __future__ import annotations
 import dataclasses
 import platform
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from featreg._version import __version__
 from featreg.errors import CancelledError, InputError, ParameterError
 from featreg.evaluation import computing_time, default_stage, evaluate, stage_mask
 from featreg.interfaces import FailedFit
+from featreg.opencv import single_threaded
 from featreg.prediction_cache import PredictionCache
 from featreg.result_file import plain
 from featreg.table import COLUMNS, Table
@@ -106,7 +106,7 @@ def compare(
         if cancel is not None and cancel.is_set():
             raise CancelledError(f"comparison cancelled after {done} of {total} steps")
 
-    with _one_thread():
+    with single_threaded():
         if executor is not None:
             futures = {
                 (i, label): executor.submit(_predict, named[i].reference, named[i].secondary, entries[label])
@@ -199,7 +199,7 @@ def _predict(reference: Any, secondary: Any, keywords: Mapping[str, Any]) -> Reg
         for image in (reference, secondary):
             if isinstance(image, Image):
                 image.release()
-        with _one_thread():
+        with single_threaded():
             made: Registration = match(reference, secondary, **keywords)
             return made
 
@@ -215,18 +215,6 @@ def _outcome(call: Callable[[], Registration | str]) -> Registration | str:
     except Exception as error:
         line = (str(error).splitlines() or [""])[0]
         return f"{type(error).__name__}: {line}" if line else type(error).__name__
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    import cv2
-
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        yield
-    finally:
-        cv2.setNumThreads(before)
 
 
 def _row(pair: _Pair, label: str, result: Registration | str, time_s: float | None, threshold: float) -> dict[str, Any]:
