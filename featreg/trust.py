@@ -37,9 +37,9 @@ class Limits:
     anisotropy : largest ratio of the model's two scales
     """
 
-    least_inliers: int = 8
+    least_inliers: int = 12
     least_spread: float = 0.05
-    significance: float = -4.0
+    significance: float = -8.0
     held_out_px: float = 2.0
     scale: float = 2.5
     anisotropy: float = 1.5

@@ -13,6 +13,7 @@ from featreg.sar.association import Fit, Map
 from featreg.sar.cancellation import cancelled_fit
 from featreg.sar.correlation import Peaks
 from featreg.sar.patches import patch_shifts
+from featreg.sar.speckle import mean_amplitude
 from featreg.sar.targets import covered
 from featreg.types import BoolArray, FloatArray, Image, IntArray, Matches
 
@@ -105,6 +106,8 @@ class PatchLocation:
         """Samples and which are data (None for all), aligned to the (H, W) grid `shape` by a map where there is one."""
         valid = image.mask if self.zeros_are_data else covered(image)
         pixels = image.pixels if self.samples == "cc" else image.amplitude
+        # Relative to the mean, so that energies stay in float32's range whatever the image's calibration.
+        pixels = pixels * np.float32(1 / max(mean_amplitude(image), 1e-30))
         if current is not None:
             return aligned(pixels, valid, _matrix(current), shape)
         return pixels, (None if valid.all() else valid)

@@ -11,7 +11,7 @@ from featreg.sar.correlation import Peaks, peaks
 from featreg.types import BoolArray, FloatArray, IntArray
 
 #: Patches correlated at once: few enough to stay in the cache.
-BATCH = 8
+BATCH = 16
 #: Share of a patch that must be data, or it is not correlated.
 LEAST_COVERED = 0.25
 
@@ -89,18 +89,24 @@ def _cut(
     image: NDArray[Any], at: IntArray, size: tuple[int, int], valid: BoolArray | None
 ) -> tuple[NDArray[Any], FloatArray]:
     """(N, H, W) patches less their means, 0 where no data is, and their energies (N,), 0 where hardly any data is."""
-    y = at[:, 1, None, None] + np.arange(size[0])[None, :, None]
-    x = at[:, 0, None, None] + np.arange(size[1])[None, None, :]
-    patch = image[y, x]
-    if valid is None:
+    patch = _patches(image, at, size)
+    inside = None if valid is None else _patches(valid, at, size)
+    if inside is None or inside.all():
         patch = patch - patch.mean(axis=(1, 2), keepdims=True)
         share = np.ones(len(at))
     else:
-        inside = valid[y, x]
         count = np.maximum(inside.sum(axis=(1, 2)), 1)
         share = count / (size[0] * size[1])
         mean = (patch * inside).sum(axis=(1, 2)) / count
-        patch = (patch - mean[:, None, None]) * inside
-    patch = np.asarray(patch, image.dtype)
-    energy = (patch.real.astype(np.float64) ** 2 + patch.imag.astype(np.float64) ** 2).sum(axis=(1, 2))
+        patch = (patch - mean[:, None, None].astype(image.dtype)) * inside
+    flat = patch.reshape(len(at), size[0] * size[1])
+    energy = np.einsum("np,np->n", flat, flat.conj()).real.astype(np.float64)
     return patch, np.where(share >= LEAST_COVERED, energy, 0.0)
+
+
+def _patches(image: NDArray[Any], at: IntArray, size: tuple[int, int]) -> NDArray[Any]:
+    """(N, H, W) copies of the patches."""
+    out = np.empty((len(at), *size), image.dtype)
+    for i, (x, y) in enumerate(at):
+        out[i] = image[y : y + size[0], x : x + size[1]]
+    return out
