@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -267,18 +266,6 @@ def test_impossible_parameters(keywords: dict[str, Any], message: str) -> None:
 def test_impossible_grids(wrong: dict[str, Any]) -> None:
     with pytest.raises(ParameterError):
         GroundGrid(**wrong)
-
-
-@pytest.mark.slow
-def test_four_degrees_on_the_papers_grid_take_seconds() -> None:
-    """468 pulses of 424 frequencies onto 501 x 501 pixels: under 3 s on two cores."""
-    h = echoes([0.0, 0.0, 0.0], 1.0, pulses=468)
-    samples = np.ones((468, 424), np.complex64)
-    h = replace(h, samples=samples, frequencies=np.linspace(9.29e9, 9.91e9, 424))
-    back_project(h, GRID)
-    start = time.process_time()
-    back_project(h, workers=2)
-    assert time.process_time() - start < 6.0
 
 
 @pytest.mark.realdata

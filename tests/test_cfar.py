@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -181,25 +179,3 @@ def test_a_cell_without_neighbours_is_not_tested() -> None:
 def test_impossible_parameters_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(ParameterError):
         cfar.detect(np.ones((20, 20), np.float32), np.ones((20, 20), np.bool_), **wrong)  # type: ignore[arg-type]
-
-
-def seconds(method: str, guard: int, train: int) -> float:
-    power = clutter((501, 501))
-    valid = np.ones(power.shape, np.bool_)
-    times = []
-    for _ in range(12):
-        start = time.perf_counter()
-        cfar.detect(power, valid, method=method, guard=guard, train=train)
-        times.append(time.perf_counter() - start)
-    return min(times)
-
-
-@pytest.mark.slow
-def test_cell_averaging_takes_less_than_ten_milliseconds() -> None:
-    assert seconds("ca", 8, 8) < 0.010
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("method", ["ca", "goca", "soca"])
-def test_the_window_costs_nothing(method: str) -> None:
-    assert seconds(method, 20, 20) < 2 * seconds(method, 4, 4)

@@ -9,7 +9,6 @@ import os
 import re
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -499,13 +498,11 @@ def test_exit_codes_of_the_process(folder: Path, tmp_path: Path) -> None:
     assert _process("match", "ref.tif", "other.tif", folder=folder).returncode == 3
 
 
-def test_help_is_quick() -> None:
+def test_help_imports_nothing_heavy() -> None:
     code = (
         "import sys, featreg.cli\n"
         "heavy = {'numpy', 'cv2', 'numba', 'scipy', 'rasterio', 'matplotlib', 'pandas'} & set(sys.modules)\n"
         "sys.exit(f'imports {heavy}' if heavy else featreg.cli.main(['--help']))"
     )
-    start = time.perf_counter()
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert time.perf_counter() - start < 2.0  # half a second alone; tests share the machine
