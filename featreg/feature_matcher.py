@@ -14,7 +14,7 @@ from featreg.types import Features, FloatArray, Image, IntArray, Matches
 
 # The vote on a common rotation: how many features take part, the width of a bin, and how far (in standard
 # deviations of a Poisson count) the best must stand out.
-VOTERS = 800
+VOTERS = 500
 BINS = 72
 SMOOTHING = 2
 SIGNIFICANCE = 6.0
