@@ -10,7 +10,15 @@ from featreg.errors import ParameterError
 from featreg.interfaces import Descriptor
 from featreg.registry import register
 from featreg.sar.bilateral import BilateralSpace, bilateral_field
-from featreg.sar.gradient_histograms import LENGTH, described, from_base, gloh, normalised
+from featreg.sar.gradient_histograms import (
+    HARMONICS,
+    LENGTH,
+    described,
+    from_base,
+    gloh,
+    leading_harmonics,
+    normalised,
+)
 from featreg.sar.pyramid import pyramid
 from featreg.types import Features, Image
 
@@ -18,7 +26,7 @@ from featreg.types import Features, Image
 @register("bf-sift")
 @dataclass(frozen=True)
 class BfSiftDescriptor(Descriptor):
-    """Log-polar histograms (17 cells, 8 directions) of gradients in a bilateral scale space, in the point's direction.
+    """Log-polar histograms (17 cells) of gradients in a bilateral scale space, in the point's direction.
 
     Parameters
     ----------
@@ -26,6 +34,8 @@ class BfSiftDescriptor(Descriptor):
     support : a keypoint of this many times the sigma of a level belongs to that level
     coarser : the gradients are taken from the level whose sigma is so many times larger
     step : distance of the samples relative to the radius
+    harmonics : Fourier harmonics kept of the directions of each cell, beside their mean, 0 to 4; 4 keeps the histograms
+        of eight directions themselves
 
     Notes
     -----
@@ -44,6 +54,7 @@ class BfSiftDescriptor(Descriptor):
     support: float = 8.0
     coarser: float = 1.5
     step: float = 0.125
+    harmonics: int = 2
 
     def __post_init__(self) -> None:
         if self.octaves < 1 or self.intervals < 1 or not (self.sigma > 0 and self.tone > 0 and self.support > 0):
@@ -55,6 +66,8 @@ class BfSiftDescriptor(Descriptor):
             raise ParameterError(
                 f"bf-sift needs coarser > 0 and 0.01 <= step <= 0.25, got {self.coarser} and {self.step}"
             )
+        if not 0 <= self.harmonics <= HARMONICS:
+            raise ParameterError(f"bf-sift needs 0 <= harmonics <= {HARMONICS}, got {self.harmonics}")
 
     def describe_features(self, image: Image, features: Features) -> Features:
         space = BilateralSpace(self.intervals, float(self.sigma), float(self.tone), self.exact)
@@ -72,4 +85,4 @@ class BfSiftDescriptor(Descriptor):
                 field, from_base(features.xy[rows], level, image),
                 features.scale[rows] * level.shape[1] / image.shape[1], features.angle[rows], self.step,
             )  # fmt: skip
-        return described(image, features, normalised(histograms))
+        return described(image, features, leading_harmonics(normalised(histograms), self.harmonics))

@@ -11,7 +11,17 @@ from featreg.errors import ParameterError
 from featreg.interfaces import Descriptor
 from featreg.registry import register
 from featreg.sar.gabor import gabor_gradients
-from featreg.sar.gradient_histograms import LENGTH, PolarField, described, from_base, gloh, normalised, octave
+from featreg.sar.gradient_histograms import (
+    HARMONICS,
+    LENGTH,
+    PolarField,
+    described,
+    from_base,
+    gloh,
+    leading_harmonics,
+    normalised,
+    octave,
+)
 from featreg.types import Features, Image
 
 # A scale is computed on the coarsest halving of the image on which its sigma is at least so many pixels.
@@ -21,7 +31,7 @@ COARSEST_GRID = 1.4
 @register("gabor-odd")
 @dataclass(frozen=True)
 class GaborOdd(Descriptor):
-    """Log-polar histograms (17 cells, 8 directions) of the ratio gradients of odd Gabor filters.
+    """Log-polar histograms (17 cells) of the ratio gradients of odd Gabor filters.
 
     Parameters
     ----------
@@ -30,6 +40,8 @@ class GaborOdd(Descriptor):
     orientations : filter directions over half a turn
     floor : added to the means before their ratio is taken, relative to the image's mean amplitude
     step : distance of the samples relative to the radius, which is the keypoint's scale
+    harmonics : Fourier harmonics kept of the directions of each cell, beside their mean, 0 to 4; 4 keeps the histograms
+        of eight directions themselves
 
     Notes
     -----
@@ -50,6 +62,7 @@ class GaborOdd(Descriptor):
     orientations: int = 3
     floor: float = 0.01
     step: float = 0.125
+    harmonics: int = 2
 
     def __post_init__(self) -> None:
         if self.scales < 1 or self.orientations < 2:
@@ -61,6 +74,8 @@ class GaborOdd(Descriptor):
                 "gabor-odd needs 0.5 <= sigma <= 100, factor > 1, floor >= 0 and 0.01 <= step <= 0.25, got "
                 f"{self.sigma}, {self.factor}, {self.floor} and {self.step}"
             )
+        if not 0 <= self.harmonics <= HARMONICS:
+            raise ParameterError(f"gabor-odd needs 0 <= harmonics <= {HARMONICS}, got {self.harmonics}")
 
     def describe_features(self, image: Image, features: Features) -> Features:
         total = np.zeros((len(features), LENGTH), np.float32)
@@ -70,7 +85,7 @@ class GaborOdd(Descriptor):
             radius = features.scale * level.shape[1] / image.shape[1]
             histograms = gloh(field, from_base(features.xy, level, image), radius, features.angle, self.step)
             total += normalised(histograms)
-        return described(image, features, normalised(total))
+        return described(image, features, leading_harmonics(normalised(total), self.harmonics))
 
 
 def _field(level: Image, sigma: float, orientations: int, floor: float) -> PolarField:

@@ -10,14 +10,24 @@ import numpy as np
 from featreg.errors import ParameterError
 from featreg.interfaces import Descriptor
 from featreg.registry import register
-from featreg.sar.gradient_histograms import LENGTH, described, from_base, gloh, normalised, octave, ratio_field
+from featreg.sar.gradient_histograms import (
+    HARMONICS,
+    LENGTH,
+    described,
+    from_base,
+    gloh,
+    leading_harmonics,
+    normalised,
+    octave,
+    ratio_field,
+)
 from featreg.types import Features, Image
 
 
 @register("ratio-gloh")
 @dataclass(frozen=True)
 class RatioGloh(Descriptor):
-    """Log-polar histograms (17 cells, 8 directions) of ROEWA ratio gradients, in the keypoint's direction.
+    """Log-polar histograms (17 cells) of ROEWA ratio gradients, in the keypoint's direction.
 
     Parameters
     ----------
@@ -28,6 +38,8 @@ class RatioGloh(Descriptor):
     step : distance of the samples relative to the radius
     soft : share a sample between neighbouring cells instead of giving it to one
     root : root of the share of each component instead of clipping (RootSIFT)
+    harmonics : Fourier harmonics kept of the directions of each cell, beside their mean, 0 to 4; 4 keeps the histograms
+        of eight directions themselves
 
     Notes
     -----
@@ -48,6 +60,7 @@ class RatioGloh(Descriptor):
     step: float = 0.125
     soft: bool = True
     root: bool = False
+    harmonics: int = 2
 
     def __post_init__(self) -> None:
         if not (self.support > 0 and self.finest > 0 and self.factor > 1 and self.floor >= 0):
@@ -57,6 +70,8 @@ class RatioGloh(Descriptor):
             )
         if not 0.01 <= self.step <= 0.25:
             raise ParameterError(f"ratio-gloh needs 0.01 <= step <= 0.25, got {self.step}")
+        if not 0 <= self.harmonics <= HARMONICS:
+            raise ParameterError(f"ratio-gloh needs 0 <= harmonics <= {HARMONICS}, got {self.harmonics}")
 
     def describe_features(self, image: Image, features: Features) -> Features:
         histograms = np.zeros((len(features), LENGTH), np.float32)
@@ -70,4 +85,4 @@ class RatioGloh(Descriptor):
                 ratio_field(level, alpha, self.floor), from_base(features.xy[rows], level, image),
                 features.scale[rows] * smaller, features.angle[rows], self.step, self.soft,
             )  # fmt: skip
-        return described(image, features, normalised(histograms, self.root))
+        return described(image, features, leading_harmonics(normalised(histograms, self.root), self.harmonics))

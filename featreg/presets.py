@@ -146,7 +146,7 @@ PRESETS: Mapping[str, Preset] = {
     "sar-sift-paper": Preset(
         "SAR-Harris and ratio descriptors as in Dellinger et al. 2015, ratio test, RANSAC",
         detector=Part("sar-harris", {"alpha": 2.0, "integration": 2**0.5, "quota_decay": 1.0}),
-        descriptor=Part("ratio-gloh", {"soft": False}),
+        descriptor=Part("ratio-gloh", {"soft": False, "harmonics": 4}),
         nearest=Part("brute-force", {"mutual": False, "ratio": 0.8}),
         filters=(Part("ransac"),),
         refine=False,
@@ -161,7 +161,7 @@ PRESETS: Mapping[str, Preset] = {
     "s-gof-paper": Preset(
         "SIFT keypoints and odd-Gabor ratio descriptors of one scale, after Paul and Pati 2019, ratio test, RANSAC",
         detector=Part("sift"),
-        descriptor=Part("gabor-odd", {"orientations": 6}),
+        descriptor=Part("gabor-odd", {"orientations": 6, "harmonics": 4}),
         nearest=Part("brute-force", {"mutual": False, "ratio": 0.85}),
         filters=(Part("ransac"),),
         refine=False,
@@ -176,7 +176,7 @@ PRESETS: Mapping[str, Preset] = {
     "m-gof-paper": Preset(
         "SIFT keypoints and odd-Gabor ratio descriptors of four scales, after Paul and Pati 2019, ratio test, RANSAC",
         detector=Part("sift"),
-        descriptor=Part("gabor-odd", {**_MULTI_SCALE, "orientations": 6}),
+        descriptor=Part("gabor-odd", {**_MULTI_SCALE, "orientations": 6, "harmonics": 4}),
         nearest=Part("brute-force", {"mutual": False, "ratio": 0.85}),
         filters=(Part("ransac"),),
         refine=False,
@@ -191,7 +191,7 @@ PRESETS: Mapping[str, Preset] = {
     "bfsift-paper": Preset(
         "SIFT in an exact bilateral scale space without the finest scale, after Wang et al. 2012, mutual, RANSAC",
         detector=Part("bf-sift", {**_PAPER_BILATERAL, "quota_decay": 1.0}),
-        descriptor=Part("bf-sift", {**_PAPER_BILATERAL, "coarser": 1.0}),
+        descriptor=Part("bf-sift", {**_PAPER_BILATERAL, "coarser": 1.0, "harmonics": 4}),
         nearest=Part("brute-force"),
         filters=(Part("ransac"),),
         refine=False,

@@ -15,6 +15,8 @@ from featreg.types import Features, FloatArray, IntArray
 
 # Columns of 64-bit words compared at a time.
 BLOCK = 512
+# Rows of squared distances held at a time; they stay in the processor's cache.
+ROWS = 128
 LARGEST = np.iinfo(np.uint64).max
 
 
@@ -98,21 +100,31 @@ def as_words(packed: NDArray[Any]) -> NDArray[np.uint64]:
 
 
 def _euclidean(a: NDArray[Any], b: NDArray[Any], ratio: bool) -> Neighbours:
-    """Squared distances as |a|^2 + |b|^2 - 2ab, a block of rows at a time, so that memory stays bounded."""
+    """Squared distances as one matrix product, a block of rows at a time, so that memory stays bounded.
+
+    With [a, |a|^2, 1] and [-2b, 1, |b|^2] the product is |a|^2 + |b|^2 - 2ab.
+    """
     from featreg.sar import distance_kernels
 
     # Distances stay; the large common part, which would cancel in the sum, goes. Whole numbers stay whole.
     centre = np.rint(b.mean(axis=0))
     a, b = a - centre, b - centre
     n, m = len(a), len(b)
-    forward, backward = np.zeros(n, np.int64), np.zeros(m, np.int64)
-    best, second = np.full(n, np.inf, np.float32), np.full(n, np.inf, np.float32)
-    column = np.full(m, np.inf, np.float32)
-    norms = np.einsum("ij,ij->i", b, b)
-    for start in range(0, n, BLOCK):
-        rows = a[start : start + BLOCK]
-        squared = norms - 2 * (rows @ b.T) + np.einsum("ij,ij->i", rows, rows)[:, None]
-        part = slice(start, start + len(rows))
-        distance_kernels.two_nearest(squared, start, forward[part], best[part], second[part], column, backward)
-    distance, runner_up = (np.sqrt(np.maximum(d, 0)).astype(np.float64) for d in (best, second))
+    left = np.column_stack([a, np.einsum("ij,ij->i", a, a), np.ones(n, np.float32)])
+    right = np.column_stack([-2 * b, np.ones(m, np.float32), np.einsum("ij,ij->i", b, b)]).T
+    forward, backward = np.zeros(n, np.int64), np.full(m, -1, np.int64)
+    best, column = np.empty(n, np.int32), np.full(m, np.iinfo(np.int32).max, np.int32)
+    second = np.full(n, np.inf, np.float32)
+    block = np.empty((ROWS, m), np.float32)
+    for start in range(0, n, ROWS):
+        part = slice(start, min(start + ROWS, n))
+        squared = block[: part.stop - start]
+        np.matmul(left[part], right, out=squared)
+        distance_kernels.nearest(squared.view(np.int32), forward[part], best[part], column)
+        if ratio:
+            distance_kernels.second_nearest(squared, forward[part], second[part])
+    # Of rows at the same distance from a column that is the nearest of each, the first has it.
+    mine = np.flatnonzero(best == column[forward])[::-1]
+    backward[forward[mine]] = mine
+    distance, runner_up = (np.sqrt(np.maximum(d, 0)).astype(np.float64) for d in (best.view(np.float32), second))
     return forward, backward, distance, runner_up

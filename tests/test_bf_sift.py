@@ -136,7 +136,8 @@ def test_turning_image_and_point_by_a_quarter_keeps_the_descriptor(sar_texture: 
     ]
     assert pair[0] is not None
     assert pair[1] is not None
-    assert np.einsum("ij,ij->i", pair[0], pair[1]).min() > 0.95
+    length = np.linalg.norm(pair[0], axis=1) * np.linalg.norm(pair[1], axis=1)
+    assert (np.einsum("ij,ij->i", pair[0], pair[1]) / length).min() > 0.95
 
 
 @pytest.mark.parametrize("name", ["bfsift", "bfsift-paper"])

@@ -234,6 +234,7 @@ def test_turning_image_and_point_by_a_quarter_keeps_the_descriptor(sar_texture: 
     before = describe(as_image(amplitude), at(xy, angle=0.4))
     after = describe(as_image(np.rot90(amplitude).copy()), at(turned, angle=0.4 + math.pi / 2))
     other = describe(as_image(np.rot90(amplitude).copy()), at(turned, angle=0.4))
+    before, after, other = (d / np.linalg.norm(d, axis=1, keepdims=True) for d in (before, after, other))
     assert np.einsum("ij,ij->i", before, after).min() > 0.98
     assert np.einsum("ij,ij->i", before, other).mean() < 0.9
 
@@ -242,7 +243,7 @@ def test_gain_and_nothing(sar_texture: Texture) -> None:
     picture, louder = (as_image(sar_texture() * np.float32(gain)) for gain in (1, 500))
     points = at(np.random.default_rng(1).uniform(0, 200, (30, 2)))
     np.testing.assert_allclose(describe(picture, points), describe(louder, points), atol=2e-3)
-    assert describe(picture, Features.empty()).shape == (0, 136)
+    assert describe(picture, Features.empty()).shape == (0, 85)
 
 
 def test_speckle_leaves_descriptors_of_one_place_alike(sar_texture: Texture) -> None:

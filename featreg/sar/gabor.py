@@ -85,7 +85,7 @@ def _piece(amplitude: F32, margin: int, sigma: float, orientations: int, small: 
 
     # Lengths with a factor of 16: half the time of a product of threes and fives of the same size.
     height, width = (16 * fft.next_fast_len(-(-side // 16)) for side in amplitude.shape)
-    spectrum = fft.fft2(amplitude, s=(height, width))
+    spectrum = _whole(fft.rfft2(amplitude, s=(height, width)), width)
     # New memory costs as much as a transform, so all directions use the same.
     work = np.empty_like(spectrum)
     inner = np.s_[margin : margin + gx.shape[0], margin : margin + gx.shape[1]]
@@ -94,6 +94,16 @@ def _piece(amplitude: F32, margin: int, sigma: float, orientations: int, small: 
         x, y = (np.float32(2 / orientations * f(theta)) for f in (math.cos, math.sin))
         means = fft.ifft2(np.multiply(spectrum, transfer, out=work), overwrite_x=True)
         gabor_kernels.add_ratios(means[inner], small, x, y, gx, gy)
+
+
+def _whole(half: NDArray[np.complex64], width: int) -> NDArray[np.complex64]:
+    """Return the (H, W) spectrum of a real image from its (H, W // 2 + 1) non-negative columns."""
+    spectrum = np.empty((half.shape[0], width), half.dtype)
+    spectrum[:, : half.shape[1]] = half
+    mirrored = half[:, (width - 1) // 2 : 0 : -1]
+    np.conjugate(mirrored[0], out=spectrum[0, half.shape[1] :])
+    np.conjugate(mirrored[:0:-1], out=spectrum[1:, half.shape[1] :])
+    return spectrum
 
 
 def _reach(sigma: float) -> int:

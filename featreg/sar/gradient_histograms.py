@@ -26,6 +26,7 @@ I64 = NDArray[np.int64]
 
 #: Directions of a descriptor's histograms, and of the histogram from which the dominant orientation is read.
 DIRECTIONS = 8
+HARMONICS = DIRECTIONS // 2
 ORIENTATIONS = 36
 SECTORS = 8
 CELLS = 1 + 2 * SECTORS
@@ -171,6 +172,25 @@ def normalised(histograms: F32, root: bool = False) -> F32:
         return np.asarray(np.sqrt(histograms / np.where(total > 0, total, 1)), np.float32)
     clipped = np.minimum(_unit(histograms), np.float32(CLIP))
     return _unit(clipped)
+
+
+def leading_harmonics(histograms: F32, count: int) -> F32:
+    """Return (N, 17 * (1 + 2 count)) float32: the mean and the first `count` harmonics of each cell's directions.
+
+    Their basis is orthonormal, so that distances are those of the histograms without their finest detail, which is
+    mostly speckle. With all four harmonics the (N, 136) histograms come back as they are.
+    """
+    if count >= HARMONICS:
+        return histograms
+    return np.asarray(histograms @ _harmonic_basis(count), np.float32)
+
+
+@lru_cache(maxsize=4)
+def _harmonic_basis(count: int) -> F32:
+    turn = 2 * math.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    waves = [wave(k * turn) for k in range(1, count + 1) for wave in (np.cos, np.sin)]
+    basis = np.stack([np.full(DIRECTIONS, math.sqrt(0.5)), *waves], axis=1) * math.sqrt(2 / DIRECTIONS)
+    return np.kron(basis, np.eye(CELLS)).astype(np.float32)
 
 
 def described(image: Image, features: Features, descriptors: F32) -> Features:
