@@ -42,8 +42,9 @@ class BfSiftDescriptor(Descriptor):
     S. Wang, H. You, K. Fu, "BFSIFT: a novel method to find feature matches for SAR image registration", IEEE Geosci.
     Remote Sens. Lett. 9 (2012) 649, DOI 10.1109/LGRS.2011.2177437, takes SIFT's descriptor from the bilateral scale
     space. Departures: GLOH's 17 circular cells instead of SIFT's 4 x 4 square ones, so that the methods compared differ
-    in their gradients only; gradients half as coarse again as the keypoint, as what is left of speckle needs it. What
-    lies outside the image or on nodata counts as no gradient; keypoints that lie there themselves are dropped.
+    in their gradients only; gradients half as coarse again as the keypoint, as what is left of speckle needs it. Two
+    harmonics of a cell's directions instead of eight bins. What lies outside the image or on nodata counts as no
+    gradient; keypoints that lie there themselves are dropped.
     """
 
     octaves: int = 2

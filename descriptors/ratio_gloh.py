@@ -47,10 +47,11 @@ class RatioGloh(Descriptor):
     TGRS 53 (2015) 453, DOI 10.1109/TGRS.2014.2323552: circular neighbourhood of radius 12 alpha, log-polar sectors,
     histograms of the directions of the ratio gradient weighted by its magnitude, normalised and clipped as in SIFT.
 
-    Departures: directions are counted relative to the keypoint's; samples are shared between cells; alpha never falls
-    below `finest`, because finer gradients are speckle; samples lie 1.5 alpha apart by default, where the gradients
-    are nearly independent. Fields of large alpha are computed on a halved image. What lies outside the image or near
-    nodata counts as no gradient; only keypoints that lie there themselves, or without any gradient, are dropped.
+    Departures: directions are counted relative to the keypoint's; samples are shared between cells; of the directions
+    of a cell two harmonics are kept, which match as well as eight bins in less time; alpha never falls below `finest`,
+    because finer gradients are speckle; samples lie 1.5 alpha apart by default, where the gradients are nearly
+    independent. Fields of large alpha are computed on a halved image. What lies outside the image or near nodata counts
+    as no gradient; only keypoints that lie there themselves, or without any gradient, are dropped.
     """
 
     support: float = 12.0
