@@ -10,8 +10,10 @@ if TYPE_CHECKING:
     from featreg.comparison import compare
     from featreg.errors import FeatregError
     from featreg.evaluation import evaluate
+    from featreg.experiments.experiment import Experiment
     from featreg.extraction import extractor
     from featreg.feature_matcher import FeatureMatcher
+    from featreg.focusing import FocusResult, focus
     from featreg.interfaces import (
         Descriptor,
         Detector,
@@ -43,6 +45,7 @@ _HOMES = {
     "Descriptor": "interfaces",
     "Detector": "interfaces",
     "evaluate": "evaluation",
+    "Experiment": "experiments.experiment",
     "extractor": "extraction",
     "FailedFit": "interfaces",
     "FeatregError": "errors",
@@ -51,6 +54,8 @@ _HOMES = {
     "Filter": "interfaces",
     "FilterContext": "interfaces",
     "fit": "matching",
+    "focus": "focusing",
+    "FocusResult": "focusing",
     "GroundGrid": "sar.backprojection",
     "Image": "types",
     "match": "matching",
@@ -71,12 +76,14 @@ _HOMES = {
 __all__ = [
     "Descriptor",
     "Detector",
+    "Experiment",
     "FailedFit",
     "FeatregError",
     "FeatureMatcher",
     "Features",
     "Filter",
     "FilterContext",
+    "FocusResult",
     "GroundGrid",
     "Image",
     "Matcher",
@@ -96,6 +103,7 @@ __all__ = [
     "evaluate",
     "extractor",
     "fit",
+    "focus",
     "match",
     "read_phase_history",
     "register",

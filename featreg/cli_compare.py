@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
-import multiprocessing
-import signal
-from collections.abc import Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor
-from pathlib import Path
-from typing import Annotated
+import dataclasses
+import logging
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from featreg import cli_study
 from featreg.cli_options import (
     FeaturesOption,
     ModelOption,
@@ -20,141 +17,171 @@ from featreg.cli_options import (
     ScaleOption,
     SeedOption,
     SetOption,
-    announce_compiling,
-    check_folder,
-    check_name,
-    counter,
     parse_settings,
-    whole_number,
 )
-from featreg.errors import InputError, ParameterError
+from featreg.cli_study import (
+    FormatOption,
+    IsolateOption,
+    LayoutOption,
+    LimitOption,
+    MetricsOption,
+    OutOption,
+    RepeatsOption,
+    ReportOption,
+    ResumeOption,
+    SaveOption,
+    ThresholdOption,
+    TimesOption,
+    TruthOption,
+    WorkersOption,
+)
+from featreg.errors import FeatregError, ParameterError
 
-FORMATS = ("md", "csv", "latex", "json")
+if TYPE_CHECKING:
+    from featreg.experiments.experiment import Experiment
+
+ALL = "all"
+logger = logging.getLogger(__name__)
 
 
 def compare(
+    context: typer.Context,
     images: Annotated[
-        list[str],
-        typer.Argument(metavar="REF SEC", help="Pairs of images, one after the other.", show_default=False),
-    ],
-    methods: Annotated[
-        str,
-        typer.Option("--methods", metavar="A,B,C", help="Names from `featreg list method`.", show_default=False),
-    ],
-    truth: Annotated[
         list[str] | None,
-        typer.Option(
-            "--truth",
-            metavar="FILE",
-            help="Where points really lie: a matrix, marked points, a flow or a result (.json, .txt, .csv, .npy); once "
-            "for all pairs, or once per pair.",
+        typer.Argument(
+            metavar="REF SEC | FOLDER",
+            help="Pairs of images, one after the other, or a folder of images named in pairs (port_1.tif and "
+            "port_2.tif, port_before.png and port_after.png, with port_truth.csv).",
             show_default=False,
         ),
     ] = None,
+    methods: Annotated[
+        str | None,
+        typer.Option(
+            "--methods", metavar="A,B,C", help="Names from `featreg list method`, or all.", show_default=False
+        ),
+    ] = None,
+    experiment: Annotated[
+        str | None,
+        typer.Option(
+            "--experiment",
+            metavar="FILE",
+            help="Run what a .yaml or .toml file says, instead of images, methods and protocol here.",
+            show_default=False,
+        ),
+    ] = None,
+    truth: TruthOption = None,
     model: ModelOption = None,
     settings: SetOption = None,
     seed: SeedOption = 0,
+    repeats: RepeatsOption = 1,
     n_features: FeaturesOption = None,
     refine: RefineOption = None,
     scale: ScaleOption = None,
     nodata: NodataOption = None,
-    workers: Annotated[
-        int,
-        typer.Option(
-            "--workers", parser=whole_number(1), metavar="N", help="Processes that match, of one thread each."
-        ),
-    ] = 1,
-    times: Annotated[
-        bool | None,
-        typer.Option(
-            "--times/--no-times",
-            help="Measure times, one run after the other.",
-            show_default="only with one worker",
-        ),
-    ] = None,
-    resume: Annotated[
-        str | None,
-        typer.Option(
-            "--resume",
-            metavar="DIR",
-            help="Keep results in a folder and take them from there where nothing has changed.",
-            show_default=False,
-        ),
-    ] = None,
-    layout: Annotated[str, typer.Option("--format", metavar="FORMAT", help="md, csv, latex or json.")] = "md",
+    threshold: ThresholdOption = 1.5,
+    metrics: MetricsOption = None,
+    workers: WorkersOption = 1,
+    times: TimesOption = None,
+    time_limit: LimitOption = None,
+    isolate: IsolateOption = True,
+    resume: ResumeOption = None,
+    layout_format: FormatOption = "md",
+    layout: LayoutOption = None,
+    out: OutOption = None,
+    report: ReportOption = None,
+    save: SaveOption = None,
 ) -> None:
     """Print a table of methods on image pairs.
 
     Exit code 4 means that a method failed with an error on a pair; its row says which.
     """
-    check_name(layout, FORMATS, "format")
-    keywords = parse_settings(settings)
-    names = [name.strip() for name in methods.split(",") if name.strip()]
-    if not names:
-        raise ParameterError(f"--methods needs names with commas between them, as in sar-orb,orb, got '{methods}'")
-    pairs = _pairs(images, truth or [])
-    if resume is not None:
-        _check_resume(resume)
-    from featreg.assembly import assemble
-    from featreg.comparison import compare as run
-    from featreg.io import as_image
+    cli_study.check_outputs(layout_format, layout, out, report, save, resume)
+    if experiment is not None:
+        _refuse_beside_file(context)
+        found = _from_file(experiment, metrics, layout, times)
+    else:
+        if methods is None:
+            raise ParameterError("missing option '--methods'; see 'featreg compare --help'")
+        from featreg.experiments.experiment import Experiment
+        from featreg.experiments.protocol import Protocol
 
-    for name in names:
-        assemble(name, model=model, refine=refine, n_features=n_features, **keywords)
-    for path in dict.fromkeys(images):
-        as_image(path, nodata=nodata, scale=scale)
-    common = {"model": model, "refine": refine, "scale": scale, "nodata": nodata, **keywords}
-    if n_features is not None:
-        common["n_features"] = n_features
-    announce_compiling()
-    with _executor(workers) as executor:
-        table = run(
-            pairs,
-            [{"method": name, **common} for name in names],
-            executor=executor,
-            seed=seed,
-            timing=workers == 1 if times is None else times,
-            cache=resume,
-            progress=counter("comparing"),
+        parameters = parse_settings(settings)
+        names = _names(methods)
+        found = Experiment(
+            cli_study.pairs_of(images or [], truth or []),
+            _usable(parameters) if names == [ALL] else names,
+            parameters,
+            seeds=range(seed, seed + repeats),
+            protocol=Protocol(
+                threshold=threshold,
+                n_features=n_features,
+                model=model,
+                refine=refine,
+                scale=scale,
+                nodata=nodata,
+                time_limit=time_limit,
+                timing=workers == 1 if times is None else times,
+            ),
+            metrics=cli_study.metrics_of(metrics, layout),
         )
-    printed = {"md": table.to_markdown, "csv": table.to_csv, "latex": table.to_latex, "json": table.to_json}[layout]
-    typer.echo(printed(), nl=False)
+    table = cli_study.run(
+        found,
+        workers=workers,
+        isolate=isolate,
+        resume=resume,
+        layout_format=layout_format,
+        layout=layout,
+        out=out,
+        report=report,
+        save=save,
+        text="comparing",
+    )
     raise typer.Exit(4 if table.failed else 0)
 
 
-def _pairs(images: list[str], truth: list[str]) -> list[tuple[str, str, str | None]]:
-    if len(images) % 2:
-        raise InputError(
-            f"images come in pairs REF SEC [REF SEC ...], got {len(images)}: '{images[-1]}' has no partner"
-        )
-    count = len(images) // 2
-    if len(truth) not in (0, 1, count):
-        raise InputError(f"--truth is given once for all pairs or once per pair, got {len(truth)} for {count} pairs")
-    known: list[str | None] = [*truth] if len(truth) == count else [truth[0] if truth else None] * count
-    return list(zip(images[::2], images[1::2], known, strict=True))
+def _names(methods: str) -> list[str]:
+    return cli_study.words(methods, "--methods", "sar-orb,orb")
 
 
-def _check_resume(folder: str) -> None:
-    path = Path(folder)
-    if not path.exists():
-        check_folder(path.absolute().parent, f"--resume '{folder}'")
-    else:
-        check_folder(path, f"--resume '{folder}'")
+def _usable(parameters: dict[str, Any]) -> list[str]:
+    """Every method that can be used here with these parameters; a warning names the others."""
+    from featreg.assembly import assemble
+    from featreg.registry import available
+
+    found = []
+    for name in available("method"):
+        try:
+            assemble(name, **parameters)
+        except FeatregError as error:
+            logger.warning("method %s is left out: %s", name, error)
+        else:
+            found.append(name)
+    if not found:
+        raise ParameterError("no method takes these parameters; name one with --methods to see why")
+    return found
 
 
-@contextlib.contextmanager
-def _executor(workers: int) -> Iterator[Executor | None]:
-    if workers == 1:
-        yield None
-        return
-    # Fresh processes: forking one that has started threads can hang.
-    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), initializer=_leave_interrupts)
-    try:
-        yield pool
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+def _refuse_beside_file(context: typer.Context) -> None:
+    """The file says what is matched and how it is scored: an option that says it too could contradict it."""
+    own = {"experiment", "metrics", "workers", "times", "isolate", "resume", "layout_format", "layout", "out", "report",
+           "save"}  # fmt: skip
+    for parameter in context.command.params:
+        source = context.get_parameter_source(parameter.name or "")
+        if parameter.name not in own and source is not None and source.name == "COMMANDLINE":
+            given = parameter.opts[0] if parameter.opts[0].startswith("-") else "images"
+            raise ParameterError(f"{given} cannot be given with --experiment: write it into the file")
 
 
-def _leave_interrupts() -> None:
-    """Let the parent alone react to Ctrl-C, which the terminal sends to every process."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _from_file(path: str, metrics: str | None, layout: str | None, times: bool | None) -> Experiment:
+    from featreg.experiments.experiment import Experiment
+
+    found = Experiment.from_file(path)
+    names = list(found.metrics if metrics is None else ())
+    if metrics is not None or layout is not None:
+        more = cli_study.metrics_of(metrics, layout)
+        kept = [*names, *(n for n in more if n not in names)] if metrics is None or metrics.startswith("+") else more
+        found = dataclasses.replace(found, metrics=tuple(kept))
+    if times is not None:
+        found = dataclasses.replace(found, protocol=dataclasses.replace(found.protocol, timing=times))
+    return found

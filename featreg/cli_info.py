@@ -59,7 +59,12 @@ def _items(kind: str) -> list[dict[str, Any]]:
     found = []
     for name, preset in sorted(PRESETS.items()):
         try:
-            found.append(_item(kind, name, preset.summary, assemble(name).parameters, ""))
+            missing = [
+                f"{role} {part.name}: {registry.entry(role, part.name).unavailable}"
+                for role, part in preset.parts
+                if registry.entry(role, part.name).unavailable
+            ]
+            found.append(_item(kind, name, preset.summary, assemble(name).parameters, "; ".join(missing)))
         except FeatregError as error:
             found.append(_item(kind, name, preset.summary, {}, str(error)))
     return found

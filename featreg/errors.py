@@ -2,6 +2,7 @@
 
     FeatregError
     ├── InputError              a file, an array, a mask or a truth that cannot be used as it is
+    │   └── NoOverlapError           two images that do not see the same ground
     ├── ParameterError          a parameter that does not exist, is ambiguous or has an impossible value
     ├── UnknownNameError        no plugin or preset of that name
     ├── PluginError             a plugin that breaks the rules of the registry
@@ -25,6 +26,10 @@ class FeatregError(Exception):
 
 class InputError(FeatregError, ValueError):
     """A file, array, mask or truth cannot be used as given."""
+
+
+class NoOverlapError(InputError):
+    """Two images do not see the same ground; the text says where each lies."""
 
 
 class ParameterError(FeatregError, ValueError):

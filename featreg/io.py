@@ -1,4 +1,4 @@
-"""From a path or an array to an `Image` in linear amplitude, and products to GeoTIFF.
+"""From a path or an array to an `Image` in linear amplitude.
 
 The scale is never guessed in silence: non-negative real samples are amplitude, negative ones must be stated or be
 plausible decibels (then a warning is logged), anything else is an error that says what to state.
@@ -6,8 +6,6 @@ plausible decibels (then a warning is logged), anything else is an error that sa
 
 from __future__ import annotations
 
-import os
-import uuid
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,9 +16,10 @@ from numpy.typing import NDArray
 from featreg.errors import InputError, ParameterError, suggest
 from featreg.masks import MaskLike, as_mask, holds_nodata
 from featreg.phase_history import read_phase_history
-from featreg.readers import Raster, quiet, read_raster, reason
+from featreg.readers import Raster, read_raster
 from featreg.scales import SCALES, check_content, complex_pixels, real_pixels
-from featreg.types import BoolArray, Geolocation, Image
+from featreg.types import BoolArray, Image
+from featreg.writers import write_geotiff
 
 __all__ = ["ImageLike", "as_image", "read_image", "read_phase_history", "write_geotiff"]
 
@@ -144,68 +143,3 @@ def _combine(
     for other in known[1:]:
         known[0] &= other
     return known[0] if known else None
-
-
-def write_geotiff(
-    path: str | Path,
-    array: NDArray[Any],
-    geolocation: Geolocation | None = None,
-    nodata: float | None = None,
-) -> None:
-    """Write an (H, W) array as a GeoTIFF; the file appears whole or not at all.
-
-    Parameters
-    ----------
-    path : an existing file is replaced
-    array : (H, W) integer, float or complex; bool is written as uint8, float16 as float32
-    geolocation : transform and CRS, or ground control points, and RPC coefficients to store
-    nodata : the value of pixels that are not data
-
-    Raises
-    ------
-    InputError
-        The array is not 2-D and numeric, or the file cannot be written.
-    """
-    path = Path(path)
-    if array.ndim != 2 or not array.size or array.dtype.kind not in "buifc":
-        raise InputError(
-            f"{path}: cannot write {array.dtype} {array.shape}, a non-empty (H, W) numeric array is needed"
-        )
-    array = array.astype({"bool": np.uint8, "float16": np.float32}.get(array.dtype.name, array.dtype), copy=False)
-    import rasterio
-
-    height, width = array.shape
-    profile = {"driver": "GTiff", "height": height, "width": width, "count": 1, "dtype": array.dtype.name}
-    profile |= {"compress": "deflate", "tiled": min(height, width) >= 256, "bigtiff": "if_safer", "nodata": nodata}
-    # In the same folder, so that the last step is a rename.
-    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
-    try:
-        with quiet(), rasterio.open(temporary.absolute(), "w", **profile, **_profile(geolocation)) as dataset:
-            dataset.write(array, 1)
-        os.replace(temporary, path)
-    except (OSError, ValueError, TypeError, rasterio.errors.RasterioError) as error:
-        message = f"{path}: cannot be written ({reason(error)}); give a file in an existing, writable folder"
-        raise InputError(message) from error
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def _profile(geolocation: Geolocation | None) -> dict[str, Any]:
-    """Return the geolocation as rasterio's keywords."""
-    if geolocation is None:
-        return {}
-    from rasterio.control import GroundControlPoint
-    from rasterio.rpc import RPC
-    from rasterio.transform import Affine
-
-    keywords: dict[str, Any] = {} if geolocation.crs is None else {"crs": geolocation.crs}
-    if geolocation.transform is not None:
-        keywords["transform"] = Affine(*geolocation.transform)
-    elif geolocation.gcps is not None:
-        # Our points count from the centre of the first pixel, GDAL's from its corner.
-        keywords["gcps"] = [
-            GroundControlPoint(row=y + 0.5, col=x + 0.5, x=e, y=n, z=z) for x, y, e, n, z in geolocation.gcps.tolist()
-        ]
-    if geolocation.rpcs is not None:
-        keywords["rpcs"] = RPC(**geolocation.rpcs)
-    return keywords

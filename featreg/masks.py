@@ -42,7 +42,7 @@ def as_mask(mask: MaskLike, shape: tuple[int, int], name: str) -> BoolArray:
         return valid
     if isinstance(mask, np.ndarray) and mask.ndim == 2 and (mask.shape == shape or mask.shape[1] != 2):
         return _nonzero(mask, shape, f"mask of {name}")
-    return inside_polygons(_polygons(mask, name), shape)
+    return inside_polygons(polygons_of(mask, name), shape)
 
 
 def _nonzero(samples: NDArray[Any], shape: tuple[int, int], what: str) -> BoolArray:
@@ -57,7 +57,8 @@ def _nonzero(samples: NDArray[Any], shape: tuple[int, int], what: str) -> BoolAr
     return np.asarray(valid)
 
 
-def _polygons(mask: Any, name: str) -> list[FloatArray]:
+def polygons_of(mask: Any, name: str) -> list[FloatArray]:
+    """Return the polygons, each (K, 2) float64, of one polygon or a list of them; an `InputError` where it is neither."""
     wanted = "a mask is an (H, W) array, a file, a (K, 2) polygon of (x, y) with K >= 3, or a list of polygons"
     try:
         single = np.ndim(mask[0]) == 1

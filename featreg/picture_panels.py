@@ -54,7 +54,7 @@ def views_to_draw_on(reference: Image, secondary: Image) -> list[Gray]:
         factors = [min(factors)] * 2
     views = []
     for image, factor in zip((reference, secondary), factors, strict=True):
-        view = _stretched(*_resized(image.amplitude, image.mask, factor))
+        view = _stretched(*resized(image.amplitude, image.mask, factor))
         views.append((view * DIM).round().astype(np.uint8))
     return views
 
@@ -65,7 +65,8 @@ def _factor(shape: tuple[int, int]) -> float:
     return PANEL / longest if longest > PANEL else float(min(2, PANEL // longest))
 
 
-def _resized(amplitude: NDArray[np.float32], mask: BoolArray, factor: float) -> tuple[NDArray[np.float32], BoolArray]:
+def resized(amplitude: NDArray[np.float32], mask: BoolArray, factor: float) -> tuple[NDArray[np.float32], BoolArray]:
+    """Amplitude and mask at `factor` times their size, averaged over the valid pixels where that is smaller."""
     import cv2
 
     if factor == 1:
@@ -104,7 +105,7 @@ def _pair(reference: Image, aligned: Image | ArrayLike, smooth: bool = False) ->
     if smooth and max(reference.shape) <= PANEL:
         # speckle differs between the images and would cover the colours with noise
         pictures = [(_smoothed(a, m), m) for a, m in pictures]
-    (a, valid_a), (b, valid_b) = (_resized(a, m, _factor(reference.shape)) for a, m in pictures)
+    (a, valid_a), (b, valid_b) = (resized(a, m, _factor(reference.shape)) for a, m in pictures)
     common = valid_a & valid_b
     within = common if common.any() else None
     return _stretched(a, valid_a, within), _stretched(b, valid_b, within), common

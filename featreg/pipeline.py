@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,16 +10,34 @@ import numpy as np
 
 from featreg.errors import ParameterError
 from featreg.interfaces import FailedFit, Filter, FilterContext, Matcher, Model
-from featreg.refine import Refine
+from featreg.refine import Refine, Refined
 from featreg.robust import irls
 from featreg.timing import collecting, stage
 from featreg.trust import Limits, assess
-from featreg.types import BoolArray, FloatArray, Image, IntArray, Matches, Registration
+from featreg.types import BoolArray, FloatArray, Gate, Image, IntArray, Matches, Registration
 
 # Errors below this, in pixels, are not told apart by the robust fit.
 SCALE_PX = 0.3
 # Rounds of the robust fit; the consensus before it is near the answer.
 ROUNDS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Gathered:
+    """What has been done block by block already, and is not done again over all.
+
+    Parameters
+    ----------
+    stages : name -> (M,) bool of the filters that ran, in their order
+    refine : from the first model to the refined tie points, or None where there are none
+    chance_shape : (H, W) of the area of the secondary over which a wrong match may lie
+    gates : further gates, of the final tie points and their model
+    """
+
+    stages: Mapping[str, BoolArray]
+    refine: Callable[[Model], Refined] | None
+    chance_shape: tuple[int, int]
+    gates: Callable[[Matches, BoolArray, Model], Mapping[str, Gate]]
 
 
 @dataclass(frozen=True)
@@ -91,19 +109,25 @@ class Pipeline:
         initial: Model | None = None,
         search_radius: float | None = None,
         timings: dict[str, float] | None = None,
+        gathered: Gathered | None = None,
     ) -> Registration:
-        """Filter, fit, refine and judge tie points; images given as (H, W) only are not refined on."""
+        """Filter, fit, refine and judge tie points; images given as (H, W) only are not refined on.
+
+        `gathered` holds what was done block by block; its filters are not run again.
+        """
         shapes = [i.shape if isinstance(i, Image) else i for i in (reference, secondary)]
         context = FilterContext(shapes[0], shapes[1], self.model, np.random.default_rng(seed), initial)
-        stages, kept = self._filter(matches, context, initial, search_radius)
+        done = {} if gathered is None else gathered.stages
+        stages, kept = self._filter(matches, context, initial, search_radius, done)
         with stage("model"):
             model, inliers = self._fit(matches, kept)
         supported, putative = kept, np.ones(len(matches), np.bool_)
         judged: Model | FailedFit = model
-        if self.refine is not None and isinstance(reference, Image) and isinstance(secondary, Image):
+        refine = self._refinement(reference, secondary, matches) if gathered is None else gathered.refine
+        if self.refine is not None and refine is not None:
             with stage("refine"):
                 if model:
-                    refined = self.refine.run(reference, secondary, model, matches, self.n_features)
+                    refined = refine(model)
                     count = len(refined.matches)
                     useful = bool(refined.model) and count >= self.refine.least(refined.candidates)
                     judged = refined.model if useful else model
@@ -124,27 +148,46 @@ class Pipeline:
                 inliers,
                 judged,
                 shapes[0],
-                shapes[1],
+                shapes[1] if gathered is None else gathered.chance_shape,
                 self.limits,
                 initial,
                 search_radius,
+                {} if gathered is None or not judged else gathered.gates(matches, inliers, judged),
             )
         return Registration(
             matches, stages, inliers, judged, status, reason, gates, dict(timings or {}), self._provenance(seed)
         )
 
+    def _refinement(
+        self, reference: Image | tuple[int, int], secondary: Image | tuple[int, int], matches: Matches
+    ) -> Callable[[Model], Refined] | None:
+        """The refinement on two images; None where there is none or the images are not at hand."""
+        refine = self.refine
+        if refine is None or not isinstance(reference, Image) or not isinstance(secondary, Image):
+            return None
+        return lambda model: refine.run(reference, secondary, model, matches, self.n_features)
+
     def _filter(
-        self, matches: Matches, context: FilterContext, initial: Model | None, search_radius: float | None
+        self,
+        matches: Matches,
+        context: FilterContext,
+        initial: Model | None,
+        search_radius: float | None,
+        done: Mapping[str, BoolArray],
     ) -> tuple[dict[str, BoolArray], BoolArray]:
         """Every filter sees what the one before it kept; its mask covers all matches."""
         kept = np.ones(len(matches), np.bool_)
-        stages: dict[str, BoolArray] = {}
+        stages: dict[str, BoolArray] = dict(done)
+        for mask in done.values():
+            kept = kept & mask
         if initial is not None:
             if search_radius is None or not search_radius > 0:
                 raise ParameterError(f"initial needs search_radius > 0 px, got {search_radius}")
-            kept = initial.residuals(matches.reference_xy, matches.secondary_xy) <= search_radius
+            kept = kept & (initial.residuals(matches.reference_xy, matches.secondary_xy) <= search_radius)
             stages["initial"] = kept
         for name, keeper in self.filters:
+            if name in done:
+                continue
             with stage(name):
                 rows = np.flatnonzero(kept)
                 kept = np.zeros(len(matches), np.bool_)

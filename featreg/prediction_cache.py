@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import importlib
 import inspect
+import io
+import sys
+import zipfile
 from collections.abc import Callable, Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -14,33 +19,42 @@ import numpy as np
 from featreg._version import __version__
 from featreg.errors import InputError
 from featreg.interfaces import Model
-from featreg.registry import KINDS
-from featreg.result_file import read_registration, write_registration
-from featreg.types import Registration
+from featreg.registry import KINDS, ROOMS, entries
+from featreg.result_file import read_registration, write_atomic, write_registration
+from featreg.types import FloatArray, Registration
+
+#: Beginnings of the modules that only look at results: a new metric matches nothing again.
+AFTERWARDS = ("cli", "comparison", "demo", "doctor", "evaluation", "experiments", "exports", "marking", "picture",
+              "prediction_cache", "report", "table", "truth")  # fmt: skip
 
 
 class PredictionCache:
-    """Results in a folder, each under the digest of everything that went into it."""
+    """Results in a folder, each under the digest of everything that went into it: never of another protocol.
+
+    Part of every digest is the source of this package and of the plugins from elsewhere, so that who works on a method
+    never meets what an older version of it gave.
+    """
 
     def __init__(self, folder: Path | None) -> None:
         self.folder = folder
         self.images: dict[str, bytes] = {}
 
-    def key(self, name: str, pair: tuple[Any, Any], keywords: Mapping[str, Any]) -> str | None:
+    def key(self, name: str, images: tuple[Any, ...], keywords: Mapping[str, Any]) -> str | None:
         """The digest, or None where something has no certain one: such a result is not kept.
 
-        `name` stands for the two images of `pair`, whose digest is taken once.
+        `name` stands for the images, whose digest is taken once.
         """
         if self.folder is None:
             return None
         try:
             if name not in self.images:
-                self.images[name] = _digest(list(pair))
-            return _digest([f"featreg {__version__}", self.images[name], keywords]).hex()
+                self.images[name] = _digest(list(images))
+            return _digest([f"featreg {__version__}", _code(), self.images[name], keywords]).hex()
         except (TypeError, ValueError, AttributeError, OSError, RecursionError):
             return None
 
-    def read(self, key: str | None) -> tuple[Registration | None, float | None]:
+    def read(self, key: str | None) -> tuple[Registration | None, dict[str, float] | None]:
+        """The result and its times (stage -> seconds of a serial run), None for what is not there or not whole."""
         if self.folder is None or key is None or not (self.folder / f"{key}.json").is_file():
             return None, None
         try:
@@ -51,14 +65,56 @@ class PredictionCache:
         mark = provenance.pop("comparison", None)
         if not isinstance(mark, dict) or mark.get("key") != key:
             return None, None
-        return dataclasses.replace(kept, provenance=provenance), mark.get("seconds")
+        act = mark.get("act")
+        times = {str(k): float(v) for k, v in act.items()} if isinstance(act, dict) else None
+        return dataclasses.replace(kept, provenance=provenance), times
 
-    def write(self, key: str | None, result: Registration | str, seconds: float | None) -> None:
+    def write(self, key: str | None, result: Registration | str, act: Mapping[str, float] | None) -> None:
+        """Keep a result and its times; a failure (text) is not kept."""
         if self.folder is None or key is None or isinstance(result, str):
             return
         self.folder.mkdir(parents=True, exist_ok=True)
-        provenance = {**result.provenance, "comparison": {"key": key, "seconds": seconds}}
+        provenance = {**result.provenance, "comparison": {"key": key, "act": None if act is None else dict(act)}}
         write_registration(dataclasses.replace(result, provenance=provenance), self.folder / f"{key}.json")
+
+    def read_points(self, key: str | None) -> FloatArray | None:
+        """(N, 2) keypoints, or None for what is not there or not whole."""
+        if self.folder is None or key is None or not (self.folder / f"{key}.npz").is_file():
+            return None
+        try:
+            with np.load(self.folder / f"{key}.npz", allow_pickle=False) as kept:
+                xy, mark = kept["xy"], str(kept["key"])
+        except (OSError, ValueError, LookupError, EOFError, zipfile.BadZipFile):
+            return None
+        whole = mark == key and xy.dtype == np.float64 and xy.ndim == 2 and xy.shape[1] == 2 and np.isfinite(xy).all()
+        return xy if whole else None
+
+    def write_points(self, key: str | None, xy: FloatArray) -> None:
+        """Keep keypoints."""
+        if self.folder is None or key is None:
+            return
+        self.folder.mkdir(parents=True, exist_ok=True)
+        out = io.BytesIO()
+        np.savez_compressed(out, xy=xy, key=np.array(key))
+        write_atomic(self.folder / f"{key}.npz", out.getvalue())
+
+
+@lru_cache(maxsize=1)
+def _code() -> bytes:
+    """Digest of the modules that may decide a result: this package's and those of plugins from elsewhere."""
+    package = Path(__file__).parent
+    folders = [package, *(Path(p) for room in ROOMS for p in importlib.import_module(room).__path__)]
+    files = {path for folder in folders for path in folder.rglob("*.py")}
+    files -= {path for path in package.rglob("*.py") if path.relative_to(package).parts[0].startswith(AFTERWARDS)}
+    for kind in KINDS:
+        for found in entries(kind):
+            source = getattr(sys.modules.get(found.module), "__file__", None)
+            if source:
+                files.add(Path(source))
+    digest = hashlib.sha256()
+    for path in sorted(files):
+        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    return digest.digest()
 
 
 def _digest(value: Any) -> bytes:

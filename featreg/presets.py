@@ -36,6 +36,12 @@ class Preset:
     robust: bool = True
     trust: Mapping[str, Any] = field(default_factory=dict)
 
+    @property
+    def parts(self) -> tuple[tuple[str, Part], ...]:
+        """(role, part) of those that make the tie points."""
+        roles = ("detector", "descriptor", "nearest", "matcher")
+        return tuple((role, part) for role in roles if (part := getattr(self, role)) is not None)
+
 
 # Half the paper's levels: no fewer correct matches at scales from 0.75 to 1.4, measured, and less to compute.
 _FOUR_LEVELS = {"levels": 4}
@@ -120,6 +126,16 @@ def _paper_obcls(matcher: Part, summary: str, *, cancellation: bool = True) -> P
 
 _PAPER_TARGETS = {"association": "nearest", "passes": 1, "patch": 64, "subpixel": False, "zeros_are_data": True}
 _PAPER_GRID = {"tie_points": "cc", "patch": 64, "step": 32, "subpixel": False, "zeros_are_data": True}
+
+
+def _kornia(summary: str, detector: Part, descriptor: Part | None, nearest: Part) -> Preset:
+    """Parts of kornia; its ways of matching have tests of their own, which stand for GMS."""
+    return Preset(
+        f"{summary}, by kornia", detector=detector, descriptor=descriptor, nearest=nearest, filters=(Part("fsc"),)
+    )
+
+
+_SMNN = Part("kornia-smnn")
 
 
 PRESETS: Mapping[str, Preset] = {
@@ -244,4 +260,40 @@ PRESETS: Mapping[str, Preset] = {
     "brisk": _opencv("brisk"),
     "sift": _opencv("sift", ratio=0.85),
     "kaze": _opencv("kaze", ratio=0.85),
+    "kornia-dog-sift": _kornia(
+        "Differences of Gaussians, RootSIFT in one common direction, ratio test both ways",
+        Part("kornia-dog"),
+        Part("kornia-sift"),
+        _SMNN,
+    ),
+    "kornia-hessian-mkd": _kornia(
+        "Hessian blobs, kernel descriptors in one common direction, AdaLAM",
+        Part("kornia-hessian"),
+        Part("kornia-mkd"),
+        Part("kornia-adalam"),
+    ),
+    "kornia-gftt-sift": _kornia(
+        "Shi-Tomasi corners, RootSIFT in one common direction, AdaLAM",
+        Part("kornia-gftt"),
+        Part("kornia-sift"),
+        Part("kornia-adalam"),
+    ),
+    "kornia-dog-hardnet": _kornia(
+        "Differences of Gaussians, HardNet, ratio test both ways",
+        Part("kornia-dog"),
+        Part("kornia-hardnet", {"magnification": 2.0}),
+        _SMNN,
+    ),
+    "kornia-keynet-hardnet": _kornia(
+        "Key.Net, HardNet, ratio test both ways", Part("kornia-keynet"), Part("kornia-hardnet"), _SMNN
+    ),
+    "kornia-disk-lightglue": _kornia(
+        "DISK, LightGlue", Part("kornia-disk"), None, Part("kornia-lightglue", {"features": "disk"})
+    ),
+    "kornia-aliked-lightglue": _kornia(
+        "ALIKED, LightGlue", Part("kornia-aliked"), None, Part("kornia-lightglue", {"features": "aliked"})
+    ),
+    "kornia-xfeat": _kornia("XFeat, mutual nearest neighbours", Part("kornia-xfeat"), None, Part("brute-force")),
+    "kornia-dedode": _kornia("DeDoDe, ratio test both ways", Part("kornia-dedode"), None, _SMNN),
+    "kornia-loftr": Preset("LoFTR, by kornia", matcher=Part("kornia-loftr"), filters=(Part("fsc"),)),
 }

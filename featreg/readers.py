@@ -134,10 +134,37 @@ def _decoding(path: Path, kind: str) -> Iterator[None]:
         raise InputError(message) from error
 
 
-def _read_gdal(path: Path, head: bytes, variable: str | None) -> Raster:
+@contextmanager
+def gdal_dataset(source: str | Path) -> Iterator[Any]:
+    """Open a raster of GDAL for reading by windows; None where the file is of another kind.
+
+    Raises
+    ------
+    InputError
+        The file is missing, empty, broken or not what its name says.
+    """
+    path, _ = _split_variable(source)
+    if READERS.get(path.suffix.lower(), _read_gdal) is not _read_gdal:
+        yield None
+        return
+    driver = _gdal_driver(path, _head(path))
+    import rasterio
+
+    with quiet(), rasterio.Env(**GDAL_OPTIONS), _decoding(path, driver.removeprefix("G").upper()):
+        dataset = rasterio.open(path.absolute(), driver=driver)
+    with dataset:
+        yield dataset
+
+
+def _gdal_driver(path: Path, head: bytes) -> str:
     driver = next((name for magic, name in MAGIC.items() if head.startswith(magic)), None)
     if driver is None:
         raise InputError(f"{path}: the content is not a TIFF, PNG, JPEG or BMP image in spite of its name")
+    return driver
+
+
+def _read_gdal(path: Path, head: bytes, variable: str | None) -> Raster:
+    driver = _gdal_driver(path, head)
     import rasterio
 
     # An absolute Path and one driver: neither a name like "zip://x" nor the content can send GDAL elsewhere.
@@ -195,7 +222,7 @@ def _read_dataset(path: Path, dataset: Any) -> Raster:
         dataset.nodatavals[bands[0] - 1],
         dataset.scales[bands[0] - 1],
         dataset.offsets[bands[0] - 1],
-        _geolocation(dataset),
+        geolocation_of(dataset),
     )
 
 
@@ -210,7 +237,8 @@ def _through_palette(path: Path, samples: NDArray[Any], palette: dict[int, Any])
     return table[samples, 0], table[samples, 3] > 0
 
 
-def _geolocation(dataset: Any) -> Geolocation | None:
+def geolocation_of(dataset: Any) -> Geolocation | None:
+    """Return where an open dataset says it lies, or None where it says nothing."""
     gcps, gcp_crs = dataset.gcps
     crs = dataset.crs or gcp_crs
     located = Geolocation(

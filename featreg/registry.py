@@ -40,7 +40,7 @@ KINDS: Mapping[str, type[Any]] = {
     "model": Model,
 }
 ROOMS = ("featreg.detectors", "featreg.descriptors", "featreg.matchers")
-CORE = ("featreg.geometry",)
+CORE = ("featreg.geometry", "featreg.geolocation")
 
 # What values of parameters are, the narrower first: a bool is an int in Python.
 TYPES: tuple[tuple[tuple[type, ...], str], ...] = (
@@ -56,7 +56,10 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Entry:
-    """One registered plugin: how to make it, which parameters it takes, or why it cannot be had."""
+    """One registered plugin: how to make it, which parameters it takes, or why it cannot be had.
+
+    One that is `on_demand` can be made all the same: a parameter or a download supplies what is missing.
+    """
 
     kind: str
     name: str
@@ -65,6 +68,7 @@ class Entry:
     parameters: Mapping[str, Any]
     summary: str = ""
     unavailable: str = ""
+    on_demand: bool = False
 
 
 _entries: dict[tuple[str, str], Entry] = {}
@@ -104,9 +108,13 @@ def register_family(
     summary: str,
     module: str,
     unavailable: str = "",
+    on_demand: bool = False,
 ) -> None:
-    """Add one member of a third-party family from a table: `factory(**parameters)` makes the plugin."""
-    _add(Entry(kind, name, factory, module, dict(parameters), summary, unavailable))
+    """Add one member of a third-party family from a table: `factory(**parameters)` makes the plugin.
+
+    `unavailable` and `on_demand` are those of `Entry`.
+    """
+    _add(Entry(kind, name, factory, module, dict(parameters), summary, unavailable, on_demand))
 
 
 def available(kind: str) -> list[str]:
@@ -168,7 +176,7 @@ def create(kind: str, name: str, **parameters: Any) -> Any:
         A parameter that the plugin does not have, or a value it refuses.
     """
     found = entry(kind, name)
-    if found.unavailable:
+    if found.unavailable and not found.on_demand:
         raise PluginUnavailableError(f"{kind} '{name}' cannot be used here: {found.unavailable}")
     for key, value in parameters.items():
         if key not in found.parameters:

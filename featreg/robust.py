@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import logging
 import math
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import InputError, ParameterError
 from featreg.geometry import Affine, Homography, Rigid, Similarity, Translation
+from featreg.geometry.corrected import CorrectedModel
 from featreg.interfaces import FailedFit, Model
 from featreg.types import BoolArray, FloatArray, IntArray, points
 
@@ -72,10 +73,11 @@ def fit_consensus(
     least squares on its inliers before it decides how long to go on (local optimisation [2]_). Samples whose points lie
     closer together, or closer to one line, than two thresholds are skipped.
 
-    Translation, rigid, similarity, affine and homography make their own hypotheses. For every other model (polynomials,
-    models bound to a sensor) the hypotheses are affine, within `widening` thresholds; the model is then fitted to that
-    consensus and verified again while the threshold narrows to its value. The deviation of such a model from an affine
-    map must stay below `widening` thresholds on a good part of the points.
+    Translation, rigid, similarity, affine and homography make their own hypotheses; a model that corrects a known map
+    has those of its correction, on the mapped points. For every other model (polynomials) the hypotheses are affine,
+    within `widening` thresholds; the model is then fitted to that consensus and verified again while the threshold
+    narrows to its value. The deviation of such a model from an affine map must stay below `widening` thresholds on a
+    good part of the points.
 
     A consensus of no more than the points that a model needs is no consensus, unless these are all there are. Whether a
     consensus is more than chance gives is for the trust gates to decide.
@@ -90,6 +92,11 @@ def fit_consensus(
     if len(reference) != len(secondary):
         raise InputError(f"as many reference as secondary points are needed, got {len(reference)}, {len(secondary)}")
     _check_parameters(threshold, iterations, confidence, widening)
+    if isinstance(model_class, type) and issubclass(model_class, CorrectedModel):
+        return _fit_correction(
+            model_class, reference, secondary, threshold=threshold, rng=rng, candidates=candidates,
+            iterations=iterations, confidence=confidence, widening=widening,
+        )  # fmt: skip
     none, count = np.zeros(len(reference), np.bool_), len(reference)
     if count < model_class.minimum:
         return FailedFit(f"too few points: {model_class.minimum} needed, got {count}"), none
@@ -120,6 +127,29 @@ def fit_consensus(
             f"and {model_class.minimum} always do"
         ), none
     return model, inliers
+
+
+def _fit_correction(
+    model_class: type[CorrectedModel],
+    reference: FloatArray,
+    secondary: FloatArray,
+    *,
+    candidates: NDArray[np.integer] | None,
+    **search: Any,
+) -> tuple[Any, BoolArray]:
+    """Consensus of what a known map leaves to be corrected; points that it cannot map never count."""
+    mapped = model_class.known(reference)
+    good = np.isfinite(mapped).all(axis=1)
+    if candidates is not None:
+        chosen = np.zeros(len(good), np.bool_)
+        chosen[candidates] = True
+        candidates = np.flatnonzero(chosen[good])
+    fitted, kept = fit_consensus(
+        model_class.correction_kind, mapped[good], secondary[good], candidates=candidates, **search
+    )
+    inliers = np.zeros(len(good), np.bool_)
+    inliers[good] = kept
+    return fitted if isinstance(fitted, FailedFit) else model_class.with_correction(fitted), inliers
 
 
 def _check_parameters(threshold: float, iterations: int, confidence: float, widening: float) -> None:

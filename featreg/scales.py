@@ -19,7 +19,12 @@ logger = logging.getLogger("featreg.io")
 
 
 def real_pixels(
-    samples: NDArray[Any], valid: BoolArray | None, scale: str | None, name: str, owned: bool
+    samples: NDArray[Any],
+    valid: BoolArray | None,
+    scale: str | None,
+    name: str,
+    owned: bool,
+    content: bool = True,
 ) -> tuple[NDArray[np.float32], BoolArray | None, str]:
     """Return amplitude, the mask (None = all valid) and the scale the samples had.
 
@@ -30,17 +35,18 @@ def real_pixels(
     scale : as stated, or None
     name : what the image is called in messages
     owned : whether `samples` may be kept instead of copied
+    content : whether one value, or none, is an error; a window of a scene may hold nothing
 
     Raises
     ------
     InputError
         The scale cannot be told, or nothing but one value is left.
     """
-    if valid is None and scale in (None, "amplitude"):
+    if valid is None and samples.size and scale in (None, "amplitude"):
         # The common case in two quick passes: NaN fails both comparisons.
         low, high = samples.min(), samples.max()
         if low >= 0 and high <= np.finfo(np.float32).max:
-            if low == high:
+            if low == high and content:
                 raise InputError(_constant(name, float(low)))
             return samples.astype(np.float32, order="C", copy=not owned), None, "amplitude"
     # Small integers and halves become float32, which holds them all; numpy would take their root in half precision.
@@ -53,7 +59,8 @@ def real_pixels(
         scale = _told_scale(values[valid], below, name) if below else "amplitude"
     elif below and scale != "db":
         valid &= ~negative
-        logger.warning("%s: %d negative samples cannot be %s and were masked", name, below, scale)
+        level = logging.WARNING if content else logging.DEBUG  # once a scene, not once a window
+        logger.log(level, "%s: %d negative samples cannot be %s and were masked", name, below, scale)
     with np.errstate(all="ignore"):  # samples that are not valid may do anything here
         if scale == "db":
             values = 10.0 ** (values / 20.0)
@@ -61,12 +68,13 @@ def real_pixels(
             values = np.sqrt(values)
         pixels = values.astype(np.float32, order="C", copy=not owned and np.may_share_memory(values, samples))
     valid &= np.isfinite(pixels)
-    check_content(pixels, valid, name)
+    if content:
+        check_content(pixels, valid, name)
     return pixels, valid, scale
 
 
 def complex_pixels(
-    samples: NDArray[Any], valid: BoolArray | None, name: str, owned: bool
+    samples: NDArray[Any], valid: BoolArray | None, name: str, owned: bool, content: bool = True
 ) -> tuple[NDArray[np.complex64], BoolArray | None]:
     """Return complex64 samples and the mask (None = all valid); arguments and errors as in `real_pixels`."""
     with np.errstate(over="ignore"):
@@ -74,7 +82,8 @@ def complex_pixels(
     known = np.isfinite(pixels)
     if valid is not None:
         known &= valid
-    check_content(pixels, known, name)
+    if content:
+        check_content(pixels, known, name)
     return pixels, None if known.all() else known
 
 

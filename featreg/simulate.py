@@ -147,7 +147,7 @@ class _Textures:
     def made(cls, shape: tuple[int, int], reach: float, rng: np.random.Generator) -> _Textures:
         origin = np.floor((np.array(shape[::-1]) - 1) / 2 - reach)
         side = int(2 * reach) + 2
-        return cls(origin, _gamma_field(side, 5.0, 3, rng), _gamma_field(side, 1.2, 2, rng))
+        return cls(origin, gamma_field(side, 5.0, 3, rng), gamma_field(side, 1.2, 2, rng))
 
     def at(
         self, xy: tuple[NDArray[np.float64], NDArray[np.float64]]
@@ -160,7 +160,7 @@ class _Textures:
         return coarse, fine
 
 
-def _gamma_field(side: int, smoothness: float, order: int, rng: np.random.Generator) -> NDArray[np.float32]:
+def gamma_field(side: int, smoothness: float, order: int, rng: np.random.Generator) -> NDArray[np.float32]:
     """(side, side) smooth field whose values follow a gamma law of mean 1 and variance 1 / order."""
     import cv2
 
@@ -190,7 +190,7 @@ def _render(
     backscatter = np.empty(shape, np.float32)
     for top in range(0, height, STRIP):
         rows = min(STRIP, height - top)
-        strip = _painted([(outline - [0, top], s) for outline, s in surfaces], (rows, width), date)
+        strip = painted([(outline - [0, top], s) for outline, s in surfaces], (rows, width), date)
         x, y = np.meshgrid(np.arange(width) - matrix[0, 2], np.arange(top, top + rows) - matrix[1, 2])
         coarse, fine = textures.at((inverse[0, 0] * x + inverse[0, 1] * y, inverse[1, 0] * x + inverse[1, 1] * y))
         grain = (1 + strip[..., 1] * (coarse - 1)) * (1 + strip[..., 2] * (fine - 1))
@@ -202,7 +202,7 @@ def _render(
     return np.sqrt(speckled_intensity(backscatter + noise, targets, looks, rng))
 
 
-def _painted(surfaces: list[tuple[FloatArray, Surface]], shape: tuple[int, int], date: int) -> NDArray[np.float32]:
+def painted(surfaces: list[tuple[FloatArray, Surface]], shape: tuple[int, int], date: int) -> NDArray[np.float32]:
     """(H, W, 3) float32 backscatter and shares of the coarse and fine texture, averaged over each pixel."""
     import cv2
 

@@ -20,6 +20,11 @@ from featreg.types import FloatArray, Registration, points, read_only
 #: Fewest marked points: an affine needs three, and only a fourth says how well they agree.
 MINIMUM_MARKED = 4
 MARKED_COLUMNS = ("reference_x", "reference_y", "secondary_x", "secondary_y")
+#: Truths that need no file: both images on one grid, and what the images themselves say of where they lie.
+IDENTITY, GEOLOCATION = "identity", "geolocation"
+WORDS = (IDENTITY, GEOLOCATION)
+#: Endings of the files that may hold a truth.
+TRUTH_SUFFIXES = (".npy", ".json", ".txt", ".csv", ".points", ".pts")
 FORMS = "a model, a (2, 3) or (3, 3) matrix, a flow (H, W, 2), marked points (N, 4), or a file of one of them"
 
 
@@ -30,7 +35,7 @@ class Truth:
     Parameters
     ----------
     mapping : (N, 2) -> (N, 2), in pixels
-    kind : "model", "matrix", "flow" or "marked points"
+    kind : "model", "matrix", "flow", "marked points", "identity" or "geolocation over ..."
     residual_px : RMS distance in pixels of the marked points from the affine fitted to them; None for the other kinds
     marked : number of marked points; None for the other kinds
     shape : (H, W) of the reference, where a flow gives it
@@ -55,7 +60,7 @@ class Truth:
 TruthLike: TypeAlias = Truth | Model | Registration | str | Path | ArrayLike
 
 
-def read_truth(truth: TruthLike) -> Truth:
+def read_truth(truth: TruthLike, images: tuple[Any, Any] | None = None) -> Truth:
     """Make a `Truth` of whatever says where points really lie.
 
     Parameters
@@ -64,7 +69,11 @@ def read_truth(truth: TruthLike) -> Truth:
         (H, W, 2) of displacements (dx, dy) in pixels, NaN where unknown; marked points (N, 4) as
         (reference x, y, secondary x, y), N >= 4; or a path: ``.npy`` (any of these arrays), ``.json`` (a result of
         featreg, a model, or ``{"matrix": ...}``), ``.txt`` or ``.csv`` (a matrix, or marked points with or without a
-        header naming reference_x, reference_y, secondary_x and secondary_y).
+        header naming reference_x, reference_y, secondary_x and secondary_y), ``.points`` (marked in QGIS) or ``.pts``
+        (marked in ENVI). The word "identity" stands for two images on one grid; "geolocation" for what the images
+        themselves say of where they lie, over ground at 0 m, and "geolocation:HEIGHT" over ground at so many metres
+        above the ellipsoid or over the elevation model of that name.
+    images : (reference, secondary) as `featreg.match` takes them; needed for "geolocation" only
 
     Returns
     -------
@@ -86,6 +95,10 @@ def read_truth(truth: TruthLike) -> Truth:
         return _from_model(truth.model, "the registration")
     if isinstance(truth, Model):
         return Truth(truth, "model")
+    if isinstance(truth, str) and truth == IDENTITY:
+        return Truth(model_from_matrix(np.eye(3)), IDENTITY)
+    if isinstance(truth, str) and truth.partition(":")[0] == GEOLOCATION:
+        return _from_geolocation(truth.partition(":")[2], images)
     if isinstance(truth, str | Path):
         return _from_file(Path(truth))
     return _from_array(truth, "the truth")
@@ -152,6 +165,36 @@ def _from_model(model: Model | FailedFit, what: str) -> Truth:
     return Truth(model, "model")
 
 
+def _from_geolocation(height: str, images: tuple[Any, Any] | None) -> Truth:
+    from featreg.geolocation.heights import ConstantHeight, DemHeights, Heights
+    from featreg.geolocation.sensors import sensor_of
+    from featreg.geolocation.transfer import Transfer
+    from featreg.io import as_image
+
+    if images is None:
+        raise InputError(f"truth '{GEOLOCATION}' needs the two images, and they are not known here")
+    sensors = []
+    for source in images:
+        image = as_image(source)
+        sensors.append(sensor_of(image.geolocation, image.shape, image.name))
+    metres = _number(height) if height else 0.0
+    heights: Heights = DemHeights(height) if metres is None else ConstantHeight(metres)
+    over = f"ground at {metres:g} m" if metres is not None else Path(height).name
+    return Truth(_Known(Transfer(sensors[0], sensors[1], heights)), f"{GEOLOCATION} over {over}")
+
+
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """A transfer over the ground, NaN where it finds none."""
+
+    transfer: Model
+
+    def __call__(self, xy: FloatArray) -> FloatArray:
+        mapped = np.array(self.transfer(xy), dtype=np.float64)
+        mapped[~np.isfinite(mapped).all(axis=1)] = np.nan
+        return mapped
+
+
 def _from_file(path: Path) -> Truth:
     what = f"truth '{path}'"
     readers: dict[str, Callable[[Path, str], Truth]] = {
@@ -159,6 +202,8 @@ def _from_file(path: Path) -> Truth:
         ".json": _from_json,
         ".txt": _from_text,
         ".csv": _from_text,
+        ".points": _from_tie_points,
+        ".pts": _from_tie_points,
     }
     if path.suffix.lower() not in readers:
         raise InputError(f"{what} must be a {', '.join(readers)} file")
@@ -203,6 +248,13 @@ def _from_text(path: Path, what: str) -> Truth:
         raise InputError(f"{what}: the header must name {', '.join(MARKED_COLUMNS)}; {', '.join(missing)} not found")
     columns = [header.index(name) for name in MARKED_COLUMNS]
     return _from_marked(np.array([[float(row[c]) for c in columns] for row in cells[1:]]).reshape(-1, 4), what)
+
+
+def _from_tie_points(path: Path, what: str) -> Truth:
+    from featreg.exports.tie_point_files import read_tie_points
+
+    matches = read_tie_points(path)
+    return _from_marked(np.hstack([matches.reference_xy, matches.secondary_xy]), what)
 
 
 def _number(text: str) -> float | None:

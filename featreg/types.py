@@ -18,8 +18,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
+from featreg.array_checks import column as column
+from featreg.array_checks import finite as finite
+from featreg.array_checks import points as points
+from featreg.array_checks import read_only as read_only
 from featreg.derived import DerivedMaps
 from featreg.errors import InputError
 
@@ -29,47 +33,7 @@ if TYPE_CHECKING:
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
-A = TypeVar("A", bound=NDArray[Any])
 T = TypeVar("T")
-
-
-def read_only(array: A) -> A:
-    """Return `array` itself, locked against writing."""
-    array.flags.writeable = False
-    return array
-
-
-def points(values: ArrayLike, what: str) -> FloatArray:
-    """Return `values` as a read-only (N, 2) float64 array of (x, y) points.
-
-    Raises
-    ------
-    InputError
-        The values do not form an (N, 2) array of finite numbers.
-    """
-    array = np.array(values, dtype=np.float64)
-    if array.size == 0:
-        array = array.reshape(0, 2)
-    if array.ndim != 2 or array.shape[1] != 2:
-        raise InputError(f"{what} must be an (N, 2) array of (x, y), got shape {array.shape}")
-    return read_only(finite(array, what))
-
-
-def finite(array: FloatArray, what: str) -> FloatArray:
-    """Return `array` itself; an `InputError` where it holds a value that is not finite."""
-    if not np.isfinite(array).all():
-        raise InputError(f"{what} must be finite, got {int((~np.isfinite(array)).sum())} values that are not")
-    return array
-
-
-def column(values: ArrayLike, rows: int, what: str, dtype: Any = np.float64) -> NDArray[Any]:
-    """Return `values` as a read-only (rows,) array; one number stands for all rows."""
-    array = np.array(values, dtype=dtype)
-    if array.ndim == 0:
-        array = np.full(rows, array, dtype=dtype)
-    if array.shape != (rows,):
-        raise InputError(f"{what} must have shape ({rows},), got {array.shape}")
-    return read_only(array)
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,6 +251,19 @@ class Features(_ReadOnly):
         from featreg.opencv import from_keypoints
 
         return from_keypoints(keypoints, descriptors)
+
+    def to_lafs(self) -> Any:
+        """As (1, N, 2, 3) local affine frames of kornia; see `featreg.torch_arrays`."""
+        from featreg.torch_arrays import to_lafs
+
+        return to_lafs(self)
+
+    @classmethod
+    def from_lafs(cls, lafs: Any, score: Any = None, descriptors: Any = None) -> Features:
+        """From kornia's local affine frames; the inverse of `to_lafs`, in which an elongated frame becomes a circle."""
+        from featreg.torch_arrays import from_lafs
+
+        return from_lafs(lafs, score, descriptors)
 
 
 @dataclass(frozen=True, eq=False)

@@ -40,7 +40,8 @@ def warm_up() -> None:
     pair = sar_pair(SHAPE, rotation_deg=3.0, scale=1.0, shift=(2.0, 1.0))
     mask = np.ones(SHAPE, np.bool_)
     mask[:20, :30] = False
-    for method in PRESETS:
+    # What kornia's methods compile of ours, the others do too.
+    for method in (name for name in PRESETS if not name.startswith("kornia-")):
         for valid in (None, mask):
             match(pair.reference, pair.secondary, method=method, reference_mask=valid, secondary_mask=valid)
     result = match(pair.reference, pair.secondary, refine=False)

@@ -365,7 +365,7 @@ def test_a_failed_row_gives_code_4(run: Run, folder: Path, monkeypatch: pytest.M
         raise RuntimeError("out of luck")
 
     monkeypatch.setattr(featreg.matching, "match", fail)
-    code, out, err = run("compare", "ref.tif", "sec.tif", "--methods", "orb")
+    code, out, err = run("compare", "ref.tif", "sec.tif", "--methods", "orb", "--no-isolate")
     assert (code, err) == (4, "")
     assert "| failed |" in out
     assert "RuntimeError: out of luck" in out

@@ -29,6 +29,7 @@ from featreg.geometry import (
     model_from_matrix,
     model_to_dict,
     prediction_covariance,
+    regional_covariance,
     rigid_uncertainty,
 )
 from featreg.interfaces import FailedFit, Model
@@ -520,3 +521,48 @@ def test_prediction_covariance_needs_more_than_the_fewest_points() -> None:
     assert "no degree of freedom" in prediction_covariance(fitted(Affine, xy, xy), xy, xy, at=(0, 0)).reason  # type: ignore[union-attr]
     with pytest.raises(InputError, match="derivatives"):
         prediction_covariance(MODELS[-1].inverse, xy, xy, at=(0, 0))
+
+
+@pytest.mark.parametrize("cls", [Translation, Rigid, Similarity, Affine, Homography, Polynomial2])
+def test_regional_covariance_is_that_of_fits_without_each_region(cls: type[Model]) -> None:
+    rng, at = np.random.default_rng(3), np.array([[0.0, 0.0], [500.0, 20.0], [250.0, 400.0]])
+    xy = rng.uniform(0, 500, (120, 2))
+    noisy = xy + np.array([3.0, -2.0]) + rng.normal(0, 0.5, xy.shape)
+    region = np.floor(xy / 170).astype(np.int64) @ np.array([1, 3])
+    refitted = np.stack([fitted(cls, xy[region != k], noisy[region != k])(at) for k in range(9)])
+    offsets = refitted - refitted.mean(axis=0)
+    wanted = 8 / 9 * np.einsum("kna,knb->nab", offsets, offsets)
+    covariance = regional_covariance(fitted(cls, xy, noisy), xy, noisy, region, at=at)
+    assert not isinstance(covariance, FailedFit)
+    np.testing.assert_allclose(covariance, wanted, rtol=0.05, atol=0.02 * np.trace(wanted, axis1=1, axis2=2).max())
+
+
+def test_regional_covariance_sees_errors_that_neighbours_share() -> None:
+    """With an error common to each region the truth is as far off as it says, not as independent points would be."""
+    rng, at = np.random.default_rng(4), np.array([[250.0, 250.0], [0.0, 500.0]])
+    xy = rng.uniform(0, 500, (400, 2))
+    region = np.minimum(xy // 125, 3).astype(np.int64) @ np.array([1, 4])
+    missed: list[float] = []
+    regional: list[float] = []
+    independent: list[float] = []
+    for _ in range(60):
+        moved = xy + rng.normal(0, 1, (16, 2))[region] + rng.normal(0, 0.2, xy.shape)
+        model = fitted(Affine, xy, moved)
+        missed.append(np.sum((model(at) - at) ** 2))
+        for method, extra, into in (
+            (regional_covariance, (region,), regional),
+            (prediction_covariance, (), independent),
+        ):
+            covariance = method(model, xy, moved, *extra, at=at)
+            assert not isinstance(covariance, FailedFit)
+            into.append(np.trace(covariance, axis1=1, axis2=2).sum())
+    assert 0.7 < np.mean(regional) / np.mean(missed) < 1.6
+    assert np.mean(independent) < 0.2 * np.mean(missed)
+
+
+def test_regional_covariance_needs_three_regions_that_can_be_left_out() -> None:
+    xy = scattered(6)
+    model = fitted(Affine, xy, xy)
+    assert "2 regions" in regional_covariance(model, xy, xy, np.arange(6) % 2, at=xy[:1]).reason  # type: ignore[union-attr]
+    lopsided = np.array([0, 0, 0, 0, 1, 2])
+    assert "do not determine" in regional_covariance(model, xy, xy, lopsided, at=xy[:1]).reason  # type: ignore[union-attr]

@@ -20,46 +20,58 @@ LONGEST = 450
 
 # Layer -> its modules under featreg (a folder stands for all in it), and the layers these may import beside their own.
 LAYERS: dict[str, tuple[set[str], set[str]]] = {
-    "base": ({"_version", "errors", "derived", "jit", "timing", "provenance"}, set()),
+    "base": ({"_version", "errors", "array_checks", "derived", "jit", "timing", "provenance"}, set()),
     "types": ({"types"}, {"base"}),
     "sar": ({"sar"}, {"base", "types"}),
     "interfaces": ({"interfaces"}, {"base", "types"}),
     "registry": ({"registry"}, {"base", "types", "interfaces"}),
     "geometry": ({"geometry"}, {"base", "types", "interfaces", "registry"}),
     "robust": ({"robust", "robust_kernels"}, {"base", "types", "interfaces", "registry", "geometry"}),
-    "input": ({"readers", "scales", "masks", "io", "opencv", "phase_history"}, {"base", "types", "sar"}),
+    "input": (
+        {"readers", "scales", "masks", "io", "opencv", "torch_arrays", "kornia", "phase_history"},
+        {"base", "types", "sar"},
+    ),
     "simulate": ({"simulate", "simulate_circle"}, {"base", "types", "sar", "input"}),
+    "geolocation": ({"geolocation"}, {"base", "types", "interfaces", "registry", "geometry", "robust", "input"}),
     "plugins": (set(ROOMS), {"base", "types", "sar", "interfaces", "registry", "geometry", "robust", "input"}),
     "results": (
-        {"result_file", "truth", "resample", "resample_kernels"},
-        {"base", "types", "interfaces", "registry", "geometry", "input"},
+        {"result_file", "truth", "resample", "resample_kernels", "exports"},
+        {"base", "types", "sar", "interfaces", "registry", "geometry", "geolocation", "input"},
     ),
+    "focusing": ({"focusing", "range_blocks"}, {"base", "types", "sar", "interfaces", "registry", "input"}),
     "pipeline": (
         {"feature_matcher", "presets", "refine", "trust", "pipeline", "assembly", "matching", "extraction"},
-        {"base", "types", "sar", "interfaces", "registry", "geometry", "robust", "input", "simulate"},
+        {"base", "types", "sar", "interfaces", "registry", "geometry", "robust", "input", "simulate", "focusing"},
+    ),
+    "scene": (
+        {"scene"},
+        {"base", "types", "sar", "interfaces", "registry", "geometry", "geolocation", "robust", "input", "results",
+         "pipeline"},
     ),
     "evaluation": (
         {"evaluation", "comparison", "table", "prediction_cache", "pictures", "picture_panels",
-         "picture_sheet", "warming"},
-        {"base", "types", "sar", "interfaces", "registry", "geometry", "input", "simulate", "results", "pipeline"},
+         "picture_sheet", "warming", "experiments", "report", "marking"},
+        {"base", "types", "sar", "interfaces", "registry", "geometry", "geolocation", "input", "simulate", "results",
+         "pipeline", "scene"},
     ),
     "cli": (
         {"cli", "demo", "doctor", "__main__"},
-        {"base", "types", "sar", "interfaces", "registry", "geometry", "input", "simulate", "results", "pipeline",
-         "evaluation"},
+        {"base", "types", "sar", "interfaces", "registry", "geometry", "geolocation", "input", "simulate", "results",
+         "focusing", "pipeline", "scene", "evaluation"},
     ),
 }  # fmt: skip
 
 # Imports against the direction, each inside a function, and why.
 UPWARD = {
     ("featreg.types", "featreg.opencv"): "Features.to_keypoints: a method of the type, OpenCV known in one place",
+    ("featreg.types", "featreg.torch_arrays"): "Features.to_lafs: a method of the type, tensors known in one place",
     ("featreg.types", "featreg.result_file"): "Registration.to_json: a method of the type, the format in its own file",
     ("featreg.interfaces", "featreg.io"): "detect and compute take plain arrays, as OpenCV's do",
     ("featreg.registry", "featreg.presets"): "available('method') lists the presets beside the plugins",
 }
 # The library's third-party imports and the distributions that bring them.
 DISTRIBUTIONS = {"cv2": "opencv-contrib-python-headless"}
-LATE = {"cv2", "matplotlib", "pandas", "pyarrow", "rasterio", "scipy", "torch"}
+LATE = {"cv2", "matplotlib", "pandas", "pyarrow", "rasterio", "scipy", "torch", "kornia"}
 
 
 @dataclass(frozen=True)

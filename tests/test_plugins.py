@@ -32,6 +32,8 @@ MATRIX = np.array([[1.01, 0.03, 5.0], [-0.03, 1.0, -4.0]])
 CONTEXT_SHAPE = (400, 400)
 # Some of OpenCV's detectors are themselves not symmetric: their pyramids sample every second pixel from the left.
 LEAST_MIRRORED = {"harris-laplace": 0.4, "msd": 0.5}
+# AdaLAM wants six neighbours that agree, which those at the rim of a sparse set do not have.
+LEAST_FOUND = {"kornia-adalam": 45}
 LEAST_SHIFTED = {"star": 0.3, "blob": 0.3}
 
 
@@ -112,10 +114,11 @@ def work(kind: str, plugin: Any, texture: Texture) -> Any:
     return plugin.keep(tie_points()[0], context())
 
 
-def described(descriptors: NDArray[Any]) -> Features:
+def described(descriptors: NDArray[Any], xy: NDArray[np.float64] | None = None) -> Features:
     n = len(descriptors)
     norm = "hamming" if descriptors.dtype == np.uint8 else "l2"
-    return Features(np.zeros((n, 2)), np.ones(n), np.zeros(n), np.ones(n), np.zeros(n, np.int64), descriptors, norm)
+    xy = np.zeros((n, 2)) if xy is None else xy
+    return Features(xy, np.ones(n), np.zeros(n), np.ones(n), np.zeros(n, np.int64), descriptors, norm)
 
 
 # All kinds
@@ -324,9 +327,11 @@ def test_constant_and_tiny_images_do_not_break(name: str) -> None:
 def test_descriptors_find_themselves(name: str, dtype: Any) -> None:
     values = np.random.default_rng(0).integers(0, 256, (60, 32)).astype(dtype)
     order = np.random.default_rng(1).permutation(60)
-    pairs, score = registry.create("nearest", name).match_features(described(values), described(values[order]))
+    xy = np.random.default_rng(2).uniform(0, 100, (60, 2))
+    a, b = described(values, xy), described(values[order], xy[order])
+    pairs, score = registry.create("nearest", name).match_features(a, b)
     np.testing.assert_array_equal(order[pairs[:, 1]], pairs[:, 0])
-    assert len(pairs) == 60
+    assert len(pairs) >= LEAST_FOUND.get(name, 60)
     assert score.shape == (60,)
     assert np.isfinite(score).all()
 

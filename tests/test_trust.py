@@ -54,6 +54,7 @@ def test_good_tie_points_pass_every_gate() -> None:
         ("significance", {"significance": -1e9}),
         ("held_out", {"held_out_px": 1e-6}),
         ("uncertainty", {"uncertainty_px": 1e-6}),
+        ("stability", {"stability_px": 1e-6}),
         ("scale", {"scale": 1.0001}),
         ("anisotropy", {"anisotropy": 1.0}),
     ],

@@ -13,7 +13,7 @@ from featreg.geometry.convert import as_model, local_linear, model_from_dict, mo
 from featreg.geometry.homography import Homography
 from featreg.geometry.matrix import Affine, Rigid, Similarity, Translation
 from featreg.geometry.polynomial import InverseModel, Polynomial2, Polynomial3
-from featreg.geometry.uncertainty import RigidUncertainty, prediction_covariance, rigid_uncertainty
+from featreg.geometry.uncertainty import RigidUncertainty, prediction_covariance, regional_covariance, rigid_uncertainty
 
 __all__ = [
     "Affine",
@@ -34,5 +34,6 @@ __all__ = [
     "model_from_matrix",
     "model_to_dict",
     "prediction_covariance",
+    "regional_covariance",
     "rigid_uncertainty",
 ]

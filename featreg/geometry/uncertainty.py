@@ -10,11 +10,12 @@ from numpy.typing import ArrayLike
 
 from featreg.errors import InputError
 from featreg.geometry.base import Normalised, normalise
+from featreg.geometry.corrected import CorrectedModel
 from featreg.geometry.homography import Homography
 from featreg.geometry.matrix import Affine, Rigid, Similarity, Translation
 from featreg.geometry.polynomial import Polynomial, polynomial_terms
 from featreg.interfaces import FailedFit, Model
-from featreg.types import FloatArray
+from featreg.types import FloatArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -109,10 +110,15 @@ def prediction_covariance(
     and sigma^2 = sum w r^2 / (2 M - P). Points that a consensus selected away do not count: the residuals are cut off
     at its threshold, and sigma comes out a little small.
     """
+    points = np.asarray(at, np.float64)
+    if isinstance(model, CorrectedModel):
+        mapped, there = model.known(reference_xy), model.known(points.reshape(-1, 2)).reshape(points.shape)
+        if not (np.isfinite(mapped).all() and np.isfinite(there).all()):
+            return FailedFit("the known map does not reach all points")
+        return prediction_covariance(model.correction, mapped, secondary_xy, weights, at=there)
     n = normalise(reference_xy, secondary_xy, weights, model.minimum, spread=False)
     if isinstance(n, FailedFit):
         return n
-    points = np.asarray(at, np.float64)
     reference = n.reference * n.reference_scale + n.reference_centre
     secondary = n.secondary * n.secondary_scale + n.secondary_centre
     design = _derivatives(model, reference, n)
@@ -129,6 +135,69 @@ def prediction_covariance(
     there = _derivatives(model, points.reshape(-1, 2), n)
     root = np.linalg.solve(triangle.T, there.reshape(-1, count).T).T.reshape(there.shape)
     return np.asarray(variance * root @ root.transpose(0, 2, 1)).reshape(*points.shape[:-1], 2, 2)
+
+
+def regional_covariance(
+    model: Model, reference_xy: FloatArray, secondary_xy: FloatArray, region: IntArray, *, at: ArrayLike
+) -> FloatArray | FailedFit:
+    """Return the covariance of where a fitted model maps points, by leaving out one region of its points after another.
+
+    Parameters
+    ----------
+    model : fitted to these points
+    reference_xy, secondary_xy : (M, 2) float64 px
+    region : (M,) number of the region in which each point lies
+    at : (N, 2) reference points
+
+    Returns
+    -------
+    (N, 2, 2) float64 px^2, or a `FailedFit` where the points outside one region do not determine the model
+
+    Raises
+    ------
+    InputError
+        A model without known derivatives.
+
+    Notes
+    -----
+    The delete-a-group jackknife: (k - 1) / k times the sum over the k regions of d d^T, d being the departure of the
+    model without a region from their mean. Errors that neighbouring points share (a mistaken structure, relief,
+    motion) are counted, which `prediction_covariance` takes to be independent. Models without a region come from the
+    derivatives of the model at hand: exact for affine and polynomial models, one Gauss-Newton step for the others.
+
+    References
+    ----------
+    P. S. Kott, "The delete-a-group jackknife", J. Official Statistics 17 (2001) 521.
+    """
+    points = np.asarray(at, np.float64)
+    if isinstance(model, CorrectedModel):
+        mapped, there = model.known(reference_xy), model.known(points)
+        if not (np.isfinite(mapped).all() and np.isfinite(there).all()):
+            return FailedFit("the known map does not reach all points")
+        return regional_covariance(model.correction, mapped, secondary_xy, region, at=there)
+    n = normalise(reference_xy, secondary_xy, None, model.minimum, spread=False)
+    if isinstance(n, FailedFit):
+        return n
+    numbers, group = np.unique(region, return_inverse=True)
+    if len(numbers) < 3:
+        return FailedFit(f"the points lie in {len(numbers)} regions, 3 are needed")
+    design = _derivatives(model, reference_xy, n)
+    error = secondary_xy - model(reference_xy)
+    count = design.shape[2]
+    order = np.argsort(group, kind="stable")
+    starts = np.searchsorted(group[order], np.arange(len(numbers)))
+    normal, moment = np.empty((len(numbers), count, count)), np.empty((len(numbers), count))
+    for k, rows in enumerate(np.split(order, starts[1:])):
+        part = design[rows].reshape(-1, count)
+        normal[k], moment[k] = part.T @ part, part.T @ error[rows].ravel()
+    rest = normal.sum(axis=0) - normal
+    if np.linalg.cond(rest).max() > 1e12:
+        return FailedFit("the points outside one region do not determine the model")
+    step = np.linalg.solve(rest, (moment.sum(axis=0) - moment)[:, :, None])[:, :, 0]
+    there = _derivatives(model, points, n)
+    departure = np.einsum("nap,kp->nak", there, step - step.mean(axis=0))
+    share = (len(numbers) - 1) / len(numbers)
+    return np.asarray(share * departure @ departure.transpose(0, 2, 1))
 
 
 def _derivatives(model: Model, xy: FloatArray, n: Normalised) -> FloatArray:

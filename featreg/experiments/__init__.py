@@ -1,0 +1,1 @@
+"""Comparisons: pairs, methods, parameters and seeds under one protocol."""

@@ -1,0 +1,1 @@
+"""Tie points in the formats of other programs."""

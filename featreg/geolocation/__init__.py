@@ -1,0 +1,36 @@
+"""Where images lie on the ground: sensors, heights, the transfer between two images, their overlap, RPC bias.
+
+Sensor
+├── RpcSensor             rational polynomial coefficients
+├── GeotransformSensor    affine grid in a map projection
+└── GcpSensor             ground control points
+
+Everything is frozen, picklable, safe to share between threads, float64, and holds no open file.
+"""
+
+from featreg.geolocation.gcps import GcpSensor
+from featreg.geolocation.geotransform import GeotransformSensor
+from featreg.geolocation.heights import ConstantHeight, DemHeights, Heights, heights_from_dict
+from featreg.geolocation.overlap import Overlap, find_overlap
+from featreg.geolocation.rpc import RpcSensor
+from featreg.geolocation.rpc_bias import RpcBias
+from featreg.geolocation.sensor import Sensor
+from featreg.geolocation.sensors import sensor_from_dict, sensor_of
+from featreg.geolocation.transfer import Transfer
+
+__all__ = [
+    "ConstantHeight",
+    "DemHeights",
+    "GcpSensor",
+    "GeotransformSensor",
+    "Heights",
+    "Overlap",
+    "RpcBias",
+    "RpcSensor",
+    "Sensor",
+    "Transfer",
+    "find_overlap",
+    "heights_from_dict",
+    "sensor_from_dict",
+    "sensor_of",
+]

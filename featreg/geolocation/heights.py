@@ -1,0 +1,309 @@
+"""Heights of the ground: one number, or a digital elevation model read tile by tile."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import math
+import threading
+from abc import ABC, abstractmethod
+from collections import OrderedDict
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from featreg.errors import InputError
+from featreg.geolocation.projection import Projection
+from featreg.types import BoolArray, FloatArray
+
+#: Cells along each side of a tile of the elevation model, and tiles kept: at most 64 MB.
+TILE = 512
+KEPT = 60
+#: Holes are filled from valid cells at most this far away, in cells; larger ones hold the sea level.
+REACH = 100
+
+logger = logging.getLogger(__name__)
+
+
+class Heights(ABC):
+    """Metres above the WGS84 ellipsoid, anywhere."""
+
+    @abstractmethod
+    def at(self, lonlat: FloatArray) -> FloatArray:
+        """Return (N,) heights at (N, 2) longitude and latitude in degrees; NaN where the point itself is not finite."""
+
+    @abstractmethod
+    def to_dict(self) -> dict[str, Any]:
+        """A JSON-able dict from which `heights_from_dict` makes the same heights."""
+
+
+@dataclass(frozen=True)
+class ConstantHeight(Heights):
+    """The same height everywhere, in metres above the ellipsoid.
+
+    Raises
+    ------
+    InputError
+        The height is not finite.
+    """
+
+    metres: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not math.isfinite(self.metres):
+            raise InputError(f"a constant height must be a finite number of metres, got {self.metres}")
+        object.__setattr__(self, "metres", float(self.metres))
+
+    def at(self, lonlat: FloatArray) -> FloatArray:
+        return np.where(np.isfinite(lonlat).all(axis=1), self.metres, np.nan)
+
+    def to_dict(self) -> dict[str, Any]:
+        return {"type": "constant", "metres": self.metres}
+
+
+@dataclass(frozen=True, eq=False)
+class _Grid:
+    """Where the cells of an elevation model lie: `forward` maps cell corners to the coordinate system."""
+
+    shape: tuple[int, int]
+    forward: Any
+    projection: Projection
+
+    @property
+    def middle(self) -> float:
+        """Longitude or easting in the middle of the model."""
+        return float((self.forward * (self.shape[1] / 2, self.shape[0] / 2))[0])
+
+
+class _State:
+    """What is read so far, shared by the threads of one process and never pickled."""
+
+    def __init__(self) -> None:
+        self.lock = threading.RLock()
+        self.grid: _Grid | None = None
+        self.digest = ""
+        self.tiles: OrderedDict[tuple[int, int], FloatArray] = OrderedDict()
+        self.said = False
+
+
+@dataclass(frozen=True)
+class DemHeights(Heights):
+    """A digital elevation model in any raster file and coordinate system.
+
+    Parameters
+    ----------
+    path : of the file; workers open it again by this name
+    offset : metres added to every height; geoid minus ellipsoid where the model counts from the geoid
+    digest : SHA-256 of the file when it must be the one that was used before, else empty
+
+    Raises
+    ------
+    InputError
+        At first use: the file cannot be read, has no coordinate system, or is not the one of `digest`.
+
+    Notes
+    -----
+    Heights are bilinear between cell centres. Tiles of 512 x 512 cells are read when needed, so memory stays bounded
+    and a height does not depend on what was asked before. A hole (nodata, NaN) is filled from the valid cells within
+    100 cells of it, by inverse distance; what is left takes height 0 plus the offset, as sea has it. Beyond the edge
+    the height of the edge goes on: `covers` says where that is. Holes are logged once.
+    """
+
+    path: str
+    offset: float = 0.0
+    digest: str = ""
+    _state: _State = field(default_factory=_State, init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "path", str(self.path))
+        if not math.isfinite(self.offset):
+            raise InputError(f"the offset of an elevation model must be finite metres, got {self.offset}")
+        object.__setattr__(self, "offset", float(self.offset))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"path": self.path, "offset": self.offset, "digest": self.digest}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.__dict__["_state"] = _State()
+
+    def at(self, lonlat: FloatArray) -> FloatArray:
+        cells = self._cells(lonlat)
+        out = np.full(len(cells), np.nan)
+        rows = np.flatnonzero(np.isfinite(cells).all(axis=1))
+        if not len(rows):
+            return out
+        height, width = self._grid.shape
+        limit = np.array([width - 1, height - 1], np.float64)
+        x, y = np.clip(cells[rows], 0, limit).T
+        left, top = (np.minimum(np.floor(v), max(n - 2, 0)).astype(np.int64) for v, n in ((x, width), (y, height)))
+        key = top // TILE * (width // TILE + 1) + left // TILE
+        for one in np.unique(key):
+            here = key == one
+            i, j = int(left[here][0]) // TILE, int(top[here][0]) // TILE
+            tile = self._tile(i, j)
+            u, v = left[here] - i * TILE, top[here] - j * TILE
+            s, t = x[here] - left[here], y[here] - top[here]
+            right, below = np.minimum(u + 1, tile.shape[1] - 1), np.minimum(v + 1, tile.shape[0] - 1)
+            upper = tile[v, u] * (1 - s) + tile[v, right] * s
+            lower = tile[below, u] * (1 - s) + tile[below, right] * s
+            out[rows[here]] = upper * (1 - t) + lower * t
+        return out
+
+    def covers(self, lonlat: FloatArray) -> BoolArray:
+        """Return (N,) bool, True where the model has a cell."""
+        return self._inside(self._cells(lonlat))
+
+    def to_dict(self) -> dict[str, Any]:
+        return {"type": "dem", "path": self.path, "offset": self.offset, "digest": self.digest or self._digest()}
+
+    def bounds(self) -> tuple[float, float, float, float]:
+        """West, south, east and north ends in degrees."""
+        grid = self._grid
+        h, w = grid.shape
+        rim = np.array([grid.forward * (w * s, h * t) for s in np.linspace(0, 1, 9) for t in np.linspace(0, 1, 9)])
+        lon, lat = grid.projection.to_lonlat(rim).T
+        return float(np.nanmin(lon)), float(np.nanmin(lat)), float(np.nanmax(lon)), float(np.nanmax(lat))
+
+    def _cells(self, lonlat: FloatArray) -> FloatArray:
+        """(N, 2) column and row, the centre of the first cell at (0, 0)."""
+        grid = self._grid
+        xy = grid.projection.from_lonlat(np.asarray(lonlat, np.float64))
+        if grid.projection.is_plain:
+            xy[:, 0] -= 360.0 * np.round((xy[:, 0] - grid.middle) / 360.0)
+        a, b, c, d, e, f = tuple(~grid.forward)[:6]
+        return np.column_stack([a * xy[:, 0] + b * xy[:, 1] + c, d * xy[:, 0] + e * xy[:, 1] + f]) - 0.5
+
+    def _inside(self, cells: FloatArray) -> BoolArray:
+        height, width = self._grid.shape
+        return np.asarray(((cells >= -0.5) & (cells <= np.array([width, height]) - 0.5)).all(axis=1))
+
+    @property
+    def _grid(self) -> _Grid:
+        state = self._state
+        with state.lock:
+            if state.grid is None:
+                if self.digest and self._digest() != self.digest:
+                    raise InputError(
+                        f"{self.path}: is not the elevation model that was used before (its digest differs)"
+                    )
+                state.grid = self._open(_read_grid)
+            return state.grid
+
+    def _tile(self, i: int, j: int) -> FloatArray:
+        """The tile that starts at column i * TILE and row j * TILE, with one more cell to the right and below."""
+        state = self._state
+        with state.lock:
+            found = state.tiles.pop((i, j), None)
+            if found is None:
+                found, holes, left = self._open(lambda dataset: _read_tile(dataset, i * TILE, j * TILE))
+                found = found + self.offset
+                if holes:
+                    sea = f"; {left} lie deep inside and take the sea level" if left else ""
+                    self._say_once(f"has holes, filled from the cells around ({holes} in the first such tile{sea})")
+            state.tiles[i, j] = found
+            while len(state.tiles) > KEPT:
+                state.tiles.popitem(last=False)
+            return found
+
+    def _open(self, read: Any) -> Any:
+        import rasterio
+
+        from featreg.readers import quiet, reason
+
+        if not Path(self.path).exists():
+            raise InputError(f"{self.path}: no such elevation model; give the path of an existing raster file")
+        try:
+            with quiet(), rasterio.open(Path(self.path).absolute()) as dataset:
+                return read(dataset)
+        except InputError as error:
+            raise InputError(f"{self.path}: {error}") from error
+        except (rasterio.errors.RasterioError, OSError, ValueError) as error:
+            raise InputError(f"{self.path}: cannot be read as an elevation model ({reason(error)})") from error
+
+    def _digest(self) -> str:
+        state = self._state
+        with state.lock:
+            if not state.digest:
+                try:
+                    with Path(self.path).open("rb") as file:
+                        state.digest = hashlib.file_digest(file, "sha256").hexdigest()
+                except OSError as error:
+                    raise InputError(f"{self.path}: cannot be read as an elevation model ({error.strerror})") from error
+            return state.digest
+
+    def _say_once(self, what: str) -> None:
+        if not self._state.said:
+            self._state.said = True
+            logger.warning("elevation model %s: %s", self.path, what)
+
+
+def heights_from_dict(values: Mapping[str, Any]) -> Heights:
+    """Return the heights that `Heights.to_dict` wrote.
+
+    Raises
+    ------
+    InputError
+        The type is unknown or the values do not make such heights.
+    """
+    given = dict(values)
+    kind = given.pop("type", None)
+    try:
+        if kind == "constant":
+            return ConstantHeight(**given)
+        if kind == "dem":
+            return DemHeights(**given)
+    except TypeError as error:
+        raise InputError(f"no heights of type '{kind}' have the values {sorted(given)}: {error}") from error
+    raise InputError(f"the type of heights must be 'constant' or 'dem', got {kind!r}")
+
+
+def _read_grid(dataset: Any) -> _Grid:
+    if dataset.count != 1:
+        raise InputError(f"has {dataset.count} bands, an elevation model has one")
+    if dataset.crs is None or dataset.transform.is_identity:
+        raise InputError("has no geotransform with a coordinate system, an elevation model needs one")
+    if "complex" in dataset.dtypes[0]:
+        raise InputError(f"holds {dataset.dtypes[0]}, an elevation model holds metres")
+    return _Grid((dataset.height, dataset.width), dataset.transform, Projection(dataset.crs.to_wkt()))
+
+
+def _read_tile(dataset: Any, column: int, row: int) -> tuple[FloatArray, int, int]:
+    """The heights of a tile without holes, how many cells were holes, and how many of these found no neighbour."""
+    from rasterio.windows import Window
+
+    def window(margin: int) -> tuple[FloatArray, Any, int, int]:
+        x0, y0 = max(column - margin, 0), max(row - margin, 0)
+        x1 = min(column + TILE + 1 + margin, dataset.width)
+        y1 = min(row + TILE + 1 + margin, dataset.height)
+        read = dataset.read(1, window=Window(x0, y0, x1 - x0, y1 - y0), masked=True)
+        values = np.ma.getdata(read).astype(np.float64) * dataset.scales[0] + dataset.offsets[0]
+        return values, ~np.ma.getmaskarray(read) & np.isfinite(values), column - x0, row - y0
+
+    values, valid, _, _ = window(0)
+    if valid.all():
+        return values, 0, 0
+    from rasterio.fill import fillnodata
+
+    shape = values.shape
+    around, known, x, y = window(REACH)
+    place = (slice(y, y + shape[0]), slice(x, x + shape[1]))
+    filled = np.where(known, around, 0.0)
+    if known.any():
+        guess = fillnodata(filled.astype(np.float32), known.astype(np.uint8), max_search_distance=REACH)
+        # Cells out of reach of any valid one keep the value they came with: 0.
+        filled = np.where(known, filled, guess)
+    alone = _far_from(known, REACH)
+    return filled[place], int((~known[place]).sum()), int(alone[place].sum())
+
+
+def _far_from(known: Any, reach: int) -> Any:
+    """True where the nearest valid cell is farther than `reach`."""
+    import cv2
+
+    if not known.any():
+        return ~known
+    return cv2.distanceTransform((~known).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE) > reach

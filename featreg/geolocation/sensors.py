@@ -1,0 +1,66 @@
+"""The sensor of an image: its RPC, else its geotransform, else its ground control points."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from featreg.errors import InputError
+from featreg.geolocation.gcps import GcpSensor
+from featreg.geolocation.geotransform import GeotransformSensor
+from featreg.geolocation.rpc import RpcSensor
+from featreg.geolocation.sensor import Sensor
+from featreg.types import Geolocation
+
+
+def sensor_of(geolocation: Geolocation | None, shape: tuple[int, int], name: str) -> Sensor:
+    """Return the sensor model of an image.
+
+    Parameters
+    ----------
+    geolocation : what the file says of where the image lies, or None
+    shape : (H, W)
+    name : of the file, for the errors
+
+    Raises
+    ------
+    InputError
+        There is none, or it is broken; the text names the file.
+    """
+    found = geolocation or Geolocation()
+    try:
+        if found.rpcs is not None:
+            return RpcSensor(found.rpcs)
+        if found.transform is not None and found.crs:
+            return GeotransformSensor(found.transform, found.crs, shape)
+        if found.gcps is not None:
+            return GcpSensor(found.gcps, found.crs or "EPSG:4326")
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from error
+    half = " (its geotransform has no coordinate system)" if found.transform is not None else ""
+    raise InputError(
+        f"{name}: nothing says where the image lies{half}; RPC coefficients, a geotransform with a coordinate system "
+        "or ground control points are needed"
+    )
+
+
+def sensor_from_dict(values: Mapping[str, Any]) -> Sensor:
+    """Return the sensor that `Sensor.to_dict` wrote.
+
+    Raises
+    ------
+    InputError
+        The type is unknown or the values do not make such a sensor.
+    """
+    given = dict(values)
+    kind = given.pop("type", None)
+    try:
+        if kind == "rpc":
+            return RpcSensor(given)
+        if kind == "geotransform":
+            return GeotransformSensor(**given)
+        if kind == "gcps":
+            return GcpSensor(**given)
+    except TypeError as error:
+        raise InputError(f"no sensor of type '{kind}' has the values {sorted(given)}: {error}") from error
+    raise InputError(f"a sensor's type must be 'rpc', 'geotransform' or 'gcps', got {kind!r}")

@@ -1,0 +1,170 @@
+"""From the pixels of one image to those of another, over the ground."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from featreg.errors import InputError
+from featreg.geolocation.heights import ConstantHeight, Heights
+from featreg.geolocation.sensor import Sensor
+from featreg.geometry.base import GeometricModel
+from featreg.types import FloatArray
+
+#: Heights count as found to this many metres.
+CLOSE_M = 1e-5
+#: Plain rounds before the crossing is bracketed, and rounds of the bracketing.
+PLAIN, BRACKETED = 6, 80
+#: No ground lies outside these heights in metres.
+LOWEST, HIGHEST = -1000.0, 9500.0
+
+
+@dataclass(frozen=True, eq=False)
+class Transfer(GeometricModel):
+    """Reference pixels -> secondary pixels by both sensors' geometry and the heights of the ground.
+
+    Parameters
+    ----------
+    reference, secondary : the sensors of the two images
+    heights : of the ground
+
+    Notes
+    -----
+    The line of sight of a reference pixel is a function lonlat(h); its point on the ground has h = DEM(lonlat(h)),
+    sought as in section 2.1 of [1]_: Eq. 1 (image to ground at a height, here by inverting Eq. 2, because the forward
+    coefficients are rarely delivered) and the DEM in turn, until the height stands still to 1e-5 m. Departure: where
+    that has not settled after six rounds (slopes as steep as the line of sight), h - DEM(lonlat(h)) is bracketed and
+    its crossing found by regula falsi (Illinois), which always ends; where the ground lies over (more than one
+    crossing) it is one of them. A point whose ground is not found is NaN.
+
+    References
+    ----------
+    .. [1] "SAR image matching based on SAR-ORB", section 2.1 (Eq. 1, 2)
+    """
+
+    reference: Sensor
+    secondary: Sensor
+    heights: Heights
+    minimum: ClassVar[int] = 0
+
+    @classmethod
+    def from_estimate(
+        cls, reference_xy: FloatArray, secondary_xy: FloatArray, weights: FloatArray | None = None
+    ) -> NoReturn:
+        """Refuse: a transfer is known from the sensors; fit an `RpcBias` on top of it.
+
+        Raises
+        ------
+        InputError
+            Always.
+        """
+        raise InputError("a Transfer is not fitted: the sensors give it; fit an RpcBias on top of it")
+
+    def __call__(self, xy: FloatArray) -> FloatArray:
+        p = np.asarray(xy, np.float64)
+        flat = p.reshape(-1, 2)
+        lonlat, heights = on_ground(self.reference, flat, self.heights)
+        return self.secondary.ground_to_image(lonlat, heights).reshape(p.shape)
+
+    @property
+    def inverse(self) -> Transfer:
+        """Secondary -> reference, the heights sought along the secondary's lines of sight."""
+        return Transfer(self.secondary, self.reference, self.heights)
+
+    @property
+    def parameters(self) -> Mapping[str, Any]:
+        return {
+            "reference": self.reference.to_dict(),
+            "secondary": self.secondary.to_dict(),
+            "heights": self.heights.to_dict(),
+        }
+
+
+def on_ground(sensor: Sensor, xy: FloatArray, heights: Heights) -> tuple[FloatArray, FloatArray]:
+    """Return where (N, 2) image points lie: (N, 2) longitude and latitude, and (N,) heights; NaN where not found."""
+    if isinstance(heights, ConstantHeight):
+        level = np.full(len(xy), heights.metres)
+        return sensor.image_to_ground(xy, level), level
+    level = heights.at(sensor.image_to_ground(xy, _start(sensor, heights)))
+    low, high = np.full(len(xy), LOWEST), np.full(len(xy), HIGHEST)
+    over, under = np.full(len(xy), np.nan), np.full(len(xy), np.nan)
+    open_ = np.flatnonzero(np.isfinite(level))
+    for _ in range(PLAIN):
+        if not len(open_):
+            break
+        now = level[open_]
+        found = heights.at(sensor.image_to_ground(xy[open_], now))
+        _narrow(low, high, over, under, open_, now, found - now)
+        level[open_] = found
+        open_ = open_[np.abs(found - now) > CLOSE_M]
+    if len(open_):
+        level[open_] = _bracketed(sensor, xy[open_], heights, low[open_], high[open_], over[open_], under[open_])
+    return sensor.image_to_ground(xy, level), level
+
+
+def _start(sensor: Sensor, heights: Heights) -> float:
+    """The height of the ground at the sensor's centre, about, so that no search begins far off the image."""
+    level = np.zeros(1)
+    for _ in range(3):
+        level = np.nan_to_num(heights.at(sensor.image_to_ground(np.array([sensor.centre]), level)))
+    return float(level[0])
+
+
+def _narrow(
+    low: FloatArray,
+    high: FloatArray,
+    over: FloatArray,
+    under: FloatArray,
+    rows: NDArray[np.int64],
+    level: FloatArray,
+    gap: FloatArray,
+) -> None:
+    """Keep the closest heights known to lie below the ground (gap > 0) and above it, with their gaps."""
+    below = (gap > 0) & (level > low[rows])
+    low[rows[below]], over[rows[below]] = level[below], gap[below]
+    above = (gap <= 0) & (level < high[rows])
+    high[rows[above]], under[rows[above]] = level[above], gap[above]
+
+
+def _bracketed(
+    sensor: Sensor,
+    xy: FloatArray,
+    heights: Heights,
+    low: FloatArray,
+    high: FloatArray,
+    over: FloatArray,
+    under: FloatArray,
+) -> FloatArray:
+    """Heights where DEM(lonlat(h)) - h changes its sign, by the Illinois variant of regula falsi."""
+
+    def gap(level: FloatArray, rows: NDArray[np.int64]) -> FloatArray:
+        return heights.at(sensor.image_to_ground(xy[rows], level)) - level
+
+    low, high = np.minimum(low, high), np.maximum(low, high)
+    everything = np.arange(len(xy))
+    over = np.where(np.isnan(over), gap(low, everything), over)
+    under = np.where(np.isnan(under), gap(high, everything), under)
+    level, side = 0.5 * (low + high), np.zeros(len(xy))
+    open_ = np.flatnonzero((over > 0) & (under <= 0))
+    failed = np.setdiff1d(everything, open_)
+    for _ in range(BRACKETED):
+        if not len(open_):
+            break
+        near, far, a, b = low[open_], high[open_], over[open_], under[open_]
+        now = far - b * (far - near) / (b - a)
+        f = gap(now, open_)
+        level[open_] = now
+        up = f > 0
+        low[open_], over[open_] = np.where(up, now, near), np.where(up, f, np.where(side[open_] < 0, 0.5 * a, a))
+        high[open_], under[open_] = np.where(up, far, now), np.where(up, np.where(side[open_] > 0, 0.5 * b, b), f)
+        side[open_] = np.where(up, 1.0, -1.0)
+        done = (np.abs(f) <= CLOSE_M) | (high[open_] - low[open_] <= CLOSE_M) | ~np.isfinite(f)
+        level[open_[~np.isfinite(f)]] = np.nan
+        open_ = open_[~done]
+    level[open_] = np.nan
+    level[failed] = np.nan
+    return level

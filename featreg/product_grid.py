@@ -1,0 +1,194 @@
+"""The grids of a product: that of the reference, and how a file at hand relates to the secondary that was matched."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from featreg.errors import InputError, ParameterError
+from featreg.interfaces import FailedFit, Model
+from featreg.lattice import OtherGrids, resized
+from featreg.raster_source import RasterSource
+from featreg.types import FloatArray, Geolocation, Registration
+
+#: Pixel sizes that are taken as meant where the sizes of two images allow them: whole multiples and parts.
+PLAIN_FACTORS = (*range(2, 17), *(1 / n for n in range(2, 17)))
+IDENTITY = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """What a product lies on.
+
+    Parameters
+    ----------
+    shape : (H, W)
+    geolocation : where it lies, when known
+    path : the reference image, when it is at hand
+    to_matched : (2, 3) map of its pixels to those of the reference as it was matched
+    """
+
+    shape: tuple[int, int]
+    geolocation: Geolocation | None
+    path: str | None
+    to_matched: FloatArray
+
+
+def model_of(registration: Registration) -> Model:
+    """Return the model of a registration, with a logged warning where it is not trusted.
+
+    Raises
+    ------
+    InputError
+        There is none.
+    """
+    model = registration.model
+    if isinstance(model, FailedFit):
+        raise InputError(f"the registration has no model ({model.reason}), so nothing can be warped")
+    if registration.status != "ok":
+        logger.warning(
+            "the registration is %s (%s), warping with its best model", registration.status, registration.reason
+        )
+    return model
+
+
+def recorded(registration: Registration, role: str) -> dict[str, Any]:
+    """Return what a registration says of its "reference" or "secondary": path, width, height, scale, where known."""
+    inputs = registration.provenance.get("inputs") or {}
+    return dict(inputs.get(role) or {})
+
+
+def size_of(known: dict[str, Any]) -> tuple[int, int] | None:
+    """Return (H, W) of a recorded image."""
+    height, width = known.get("height"), known.get("width")
+    return (int(height), int(width)) if height and width else None
+
+
+def reference_grid(registration: Registration, like: str | Path | tuple[int, int] | None) -> Grid:
+    """Return the grid of the reference, or of `like`, a file of the same footprint.
+
+    Raises
+    ------
+    InputError
+        The size is not known, or `like` cannot be the reference.
+    """
+    known = recorded(registration, "reference")
+    size = size_of(known)
+    if isinstance(like, tuple):
+        return Grid((int(like[0]), int(like[1])), None, None, IDENTITY)
+    if like is not None:
+        source = RasterSource(str(like))
+        same = IDENTITY if size is None else _same_footprint(str(like), source.shape, "reference", size)
+        return Grid(source.shape, source.geolocation, str(like), _inverse_scale(same))
+    if size is None:
+        raise InputError("the registration does not say the reference's size; give the reference image as like")
+    path = known.get("path")
+    if isinstance(path, str) and Path(path).is_file():
+        try:
+            source = RasterSource(path)
+            if source.shape == size:
+                return Grid(size, source.geolocation, path, IDENTITY)
+            logger.warning("%s is not the reference any more: %s, it was %s", path, _size(source.shape), _size(size))
+        except InputError as error:
+            logger.warning("the reference cannot be read, the output gets no georeferencing (%s)", error)
+    return Grid(size, None, None, IDENTITY)
+
+
+def grid_model(registration: Registration, grid: Grid, secondary: str, scale: tuple[float, float] | None) -> Model:
+    """Return the model from the pixels of a grid to those of a file of the secondary's footprint.
+
+    Parameters
+    ----------
+    registration, grid : the result, and where the output lies
+    secondary : path of the file to resample
+    scale : its pixels per pixel of the matched secondary along x and y; None tells it from both files' georeferencing
+        where that is at hand, else from the sizes
+
+    Raises
+    ------
+    InputError
+        The file cannot show the footprint of the matched secondary.
+    """
+    model = model_of(registration)
+    known = recorded(registration, "secondary")
+    size, source = size_of(known), RasterSource(secondary)
+    if scale is not None:
+        if not all(np.isfinite(s) and s > 0 for s in scale):
+            raise ParameterError(f"the secondary's scale must be > 0, got {scale}")
+        after = resized(scale)
+        if size is not None:
+            _check_scale(secondary, source.shape, size, scale)
+    else:
+        located = _by_georeferencing(known.get("path"), size, source)
+        if located is not None:
+            after = located
+        else:
+            after = IDENTITY if size is None else _same_footprint(secondary, source.shape, "secondary", size)
+    if (grid.to_matched == IDENTITY).all() and (after == IDENTITY).all():
+        return model
+    return OtherGrids(model, grid.to_matched, after)
+
+
+def _by_georeferencing(matched: Any, size: tuple[int, int] | None, source: RasterSource) -> FloatArray | None:
+    """The map from the matched secondary to another file, where both have a geotransform of one coordinate system."""
+    if not isinstance(matched, str) or not Path(matched).is_file() or Path(matched).samefile(source.path):
+        return None
+    try:
+        old = RasterSource(matched)
+        first, second = old.geolocation, source.geolocation
+        if old.shape != size:
+            return None
+    except InputError:
+        return None
+    if first is None or second is None or first.transform is None or second.transform is None:
+        return None
+    if first.crs != second.crs:
+        return None
+    from rasterio.transform import Affine
+
+    # Geotransforms count from the corner of the first pixel, we from its centre.
+    moved = Affine.translation(-0.5, -0.5) * ~Affine(*second.transform) * Affine(*first.transform)
+    a, b, c, d, e, f = tuple(moved * Affine.translation(0.5, 0.5))[:6]
+    affine = np.array([[a, b, c], [d, e, f]])
+    return IDENTITY if np.abs(affine - IDENTITY).max() < 1e-6 else affine
+
+
+def _same_footprint(name: str, shape: tuple[int, int], role: str, size: tuple[int, int]) -> FloatArray:
+    """The map from an image as it was matched to a version of it with another pixel size, told from the sizes."""
+    if shape == size:
+        return IDENTITY
+    for factor in (*PLAIN_FACTORS, float(np.sqrt(shape[0] * shape[1] / (size[0] * size[1])))):
+        if all(abs(old * factor - new) <= 1 for old, new in zip(size, shape, strict=True)):
+            logger.warning(
+                "%s: %s, the %s that was matched had %s: taken as the same footprint with %.6g times as many pixels "
+                "along each axis",
+                name, _size(shape), role, _size(size), factor,
+            )  # fmt: skip
+            return resized((factor, factor))
+    hint = (
+        "; where it shows the same place with other pixels, state the secondary's scale" if role == "secondary" else ""
+    )
+    raise InputError(f"{name}: {_size(shape)}, but the {role} of the result was {_size(size)}{hint}")
+
+
+def _check_scale(name: str, shape: tuple[int, int], size: tuple[int, int], scale: tuple[float, float]) -> None:
+    wanted = size[0] * scale[1], size[1] * scale[0]
+    if any(abs(w - n) > 1 + 0.01 * w for w, n in zip(wanted, shape, strict=True)):
+        logger.warning(
+            "%s: %s, with the stated scale %.6g x %.6g the secondary of the result would have %s",
+            name, _size(shape), *scale, _size((round(wanted[0]), round(wanted[1]))),
+        )  # fmt: skip
+
+
+def _inverse_scale(affine: FloatArray) -> FloatArray:
+    return IDENTITY if affine is IDENTITY else resized((1 / affine[0, 0], 1 / affine[1, 1]))
+
+
+def _size(shape: tuple[int, int]) -> str:
+    return f"{shape[1]} x {shape[0]} pixels"

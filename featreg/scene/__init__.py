@@ -1,0 +1,1 @@
+"""Whole scenes in blocks: plan, prior, workers, state on disk, and one model over all."""

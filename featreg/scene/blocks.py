@@ -1,0 +1,66 @@
+"""The blocks of a scene: nearly equal rectangles of the reference, each the owner of the points on its pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from featreg.errors import ParameterError
+from featreg.raster_source import Window
+
+#: Side of a block in pixels, as in the SAR-ORB paper (section 2.2).
+BLOCK = 600
+#: Smallest side: below it the halo is most of what is read.
+SMALLEST = 128
+#: Pixels read beyond a block on each side, so that points at its rim are described whole: the support of the coarsest
+#: level of the default method.
+HALO = 40
+
+
+@dataclass(frozen=True)
+class Block:
+    """One block: its number in reading order, its row and column among the blocks, and the pixels that it owns."""
+
+    index: int
+    row: int
+    col: int
+    window: Window
+
+    @property
+    def outer(self) -> Window:
+        """What is read for it."""
+        return self.window.grown(HALO)
+
+
+def plan_blocks(area: Window, size: int = BLOCK) -> tuple[Block, ...]:
+    """Divide a rectangle into blocks of about `size` x `size` pixels, in reading order.
+
+    The sides differ by at most one pixel, because a sliver left over at the border would cost as much as a block and
+    hold too few points to judge them by; so they lie between 2/3 and 4/3 of `size` once the area is that large.
+    """
+    if isinstance(size, bool) or size < SMALLEST:
+        raise ParameterError(f"block must be a whole number of pixels >= {SMALLEST}, got {size}")
+    xs, ys = _edges(area.x, area.width, size), _edges(area.y, area.height, size)
+    blocks = []
+    for row, (top, bottom) in enumerate(zip(ys[:-1], ys[1:], strict=True)):
+        for col, (left, right) in enumerate(zip(xs[:-1], xs[1:], strict=True)):
+            blocks.append(Block(len(blocks), row, col, Window(left, top, right - left, bottom - top)))
+    return tuple(blocks)
+
+
+def spread_out(blocks: tuple[Block, ...], count: int) -> tuple[Block, ...]:
+    """About `count` blocks that lie evenly over all of them, in reading order."""
+    rows, cols = blocks[-1].row + 1, blocks[-1].col + 1
+    high = min(rows, max(1, round((count * rows / cols) ** 0.5)))
+    wide = min(cols, max(1, round(count / high)))
+    chosen = {
+        (int((i + 0.5) * rows / high), int((j + 0.5) * cols / wide)) for i in range(high) for j in range(wide)
+    }
+    return tuple(block for block in blocks if (block.row, block.col) in chosen)
+
+
+def _edges(start: int, length: int, size: int) -> list[int]:
+    count = max(1, round(length / size))
+    edges: list[int] = np.rint(np.linspace(start, start + length, count + 1)).astype(int).tolist()
+    return edges

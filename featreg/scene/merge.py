@@ -1,0 +1,202 @@
+"""From the blocks' columns to one set of tie points, and the accuracy of the model fitted to them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from featreg.errors import InputError
+from featreg.geometry import prediction_covariance
+from featreg.interfaces import FailedFit, Model
+from featreg.refine import ROUNDS, Refined
+from featreg.robust import irls
+from featreg.scene.blocks import Block
+from featreg.scene.task import BlockResult
+from featreg.trust import Limits
+from featreg.types import BoolArray, FloatArray, Gate, IntArray, Matches
+
+#: Refined tie points farther than this from the first model are wrong, px.
+FAR_PX = 6.0
+
+
+@dataclass(frozen=True, eq=False)
+class Merged:
+    """The tie points of all blocks, by block.
+
+    Parameters
+    ----------
+    matches : putative ones
+    stages : name -> (M,) bool, of the prior and the local filters
+    blocks : (M,) int64 block of each
+    refined : the refined ones
+    refined_blocks : (R,) int64 block of each
+    candidates : points that refinement looked at
+    chance_shape : (H, W) of the area over which a wrong match may lie: the median of the windows searched
+    """
+
+    matches: Matches
+    stages: Mapping[str, BoolArray]
+    blocks: IntArray
+    refined: Matches
+    refined_blocks: IntArray
+    candidates: int
+    chance_shape: tuple[int, int]
+
+
+def merge(results: Sequence[BlockResult], names: Sequence[str]) -> Merged:
+    """Put the columns of all blocks together, in the order of the blocks; `names` are those of the local stages."""
+    ordered = sorted((r for r in results if r.status == "done"), key=lambda r: r.index)
+    windows = np.array([r.window.shape for r in ordered if r.window is not None], np.float64).reshape(-1, 2)
+    middle = np.median(windows, axis=0) if len(windows) else np.ones(2)
+    stages = {
+        name: np.concatenate([np.zeros(0, np.bool_), *(r.stages[name] for r in ordered)]).astype(np.bool_)
+        for name in names
+    }
+    return Merged(
+        concatenated([r.matches for r in ordered]),
+        stages,
+        _repeated(ordered, [len(r.matches) for r in ordered]),
+        concatenated([r.refined for r in ordered]),
+        _repeated(ordered, [len(r.refined) for r in ordered]),
+        sum(r.candidates for r in ordered),
+        (round(float(middle[0])), round(float(middle[1]))),
+    )
+
+
+def concatenated(parts: Sequence[Matches]) -> Matches:
+    """All matches, one part after the other; an extra that one part with points lacks is dropped."""
+    parts = [part for part in parts if len(part)]
+    if not parts:
+        return Matches.empty()
+
+    def joined(name: str) -> Any:
+        values = [getattr(part, name) for part in parts]
+        return None if any(v is None for v in values) else np.concatenate(values)
+
+    names = ("reference_xy", "secondary_xy", "score", "covariance", "origin", "rotation", "scale_ratio")
+    return Matches(**{name: joined(name) for name in names})
+
+
+def _repeated(results: Sequence[BlockResult], counts: Sequence[int]) -> IntArray:
+    return np.repeat(np.array([r.index for r in results], np.int64), np.array(counts, np.int64))
+
+
+def fit_refined(merged: Merged, first: Model, max_residual: float) -> tuple[Refined, IntArray]:
+    """Fit the model over the refined tie points of all blocks.
+
+    Returns
+    -------
+    refined : as `featreg.refine.Refine.run` gives it for one image
+    blocks : (R,) block of each of its tie points
+
+    Notes
+    -----
+    Robust, weighted by the inverse variance of the correlation peaks. Blocks whose own model was wrong lie far from the
+    first model, which came from the consensus of all, and are left out.
+    """
+    near = first.residuals(merged.refined.reference_xy, merged.refined.secondary_xy) <= FAR_PX
+    rows = np.flatnonzero(near)
+    some = merged.refined.take(rows)
+    if len(some) < max(3 * first.minimum, 8) or some.covariance is None:
+        why = FailedFit(f"only {len(some)} of {merged.candidates} windows correlate near the first model")
+        return Refined(Matches.empty(), why, merged.candidates, len(merged.refined)), rows[:0]
+    variance = np.trace(some.covariance, axis1=1, axis2=2)
+    # No point may decide alone, however sharp its peak.
+    weights = 1.0 / np.maximum(variance, 0.1 * np.median(variance))
+    model, used = irls(
+        type(first), some.reference_xy, some.secondary_xy, weights=weights / weights.max(), scale_px=0.05,
+        iterations=ROUNDS,
+    )  # fmt: skip
+    if isinstance(model, FailedFit):
+        return Refined(Matches.empty(), model, merged.candidates, len(merged.refined)), rows[:0]
+    keep = (used > 0) & (model.residuals(some.reference_xy, some.secondary_xy) <= max_residual)
+    kept = np.flatnonzero(keep)
+    return (
+        Refined(some.take(kept), model, merged.candidates, len(merged.refined)),
+        merged.refined_blocks[rows[kept]],
+    )
+
+
+def block_gates(
+    blocks: Sequence[Block], tried: int, owners: IntArray, matches: Matches, model: Model, limits: Limits
+) -> dict[str, Gate]:
+    """The gates that only a scene has: how many blocks contribute, and how well one half of them predicts the other.
+
+    Parameters
+    ----------
+    blocks : all
+    tried : how many of them had content
+    owners : (M,) block of each final tie point
+    matches : the (M,) final tie points
+    model : fitted to them
+    limits : what must be reached
+    """
+    contributing = len(np.unique(owners))
+    share = contributing / tried if tried else 0.0
+    error = held_out_rmse(blocks, owners, matches, type(model))
+    return {
+        "blocks": Gate(
+            share, share >= limits.block_share, low=limits.block_share,
+            meaning="share of the blocks with content that hold a final tie point",
+        ),
+        "held_out_rmse": Gate(
+            error, error is not None and error <= limits.held_out_rmse_px, high=limits.held_out_rmse_px,
+            meaning="RMSE of the tie points of each half of the blocks from the model of the other, px",
+        ),
+    }  # fmt: skip
+
+
+def held_out_rmse(
+    blocks: Sequence[Block], owners: IntArray, matches: Matches, kind: type[Model]
+) -> float | None:
+    """RMSE in pixels of each colour of a chessboard of blocks from the model of the other; None if it cannot be told."""
+    colour = np.array([(b.row + b.col) % 2 for b in blocks], np.int64)[owners]
+    if len(np.unique(colour)) < 2:
+        # Too few blocks for a chessboard: every second tie point.
+        colour = np.arange(len(owners)) % 2
+    squares: list[FloatArray] = []
+    for side in (0, 1):
+        fitted, left = colour == side, colour != side
+        model = kind.from_estimate(matches.reference_xy[fitted], matches.secondary_xy[fitted])
+        if isinstance(model, FailedFit) or not left.any():
+            return None
+        squares.append(model.residuals(matches.reference_xy[left], matches.secondary_xy[left]) ** 2)
+    return float(np.sqrt(np.mean(np.concatenate(squares))))
+
+
+def accuracy(
+    model: Model | FailedFit, matches: Matches, gates: Mapping[str, Gate], shape: tuple[int, int]
+) -> dict[str, Any]:
+    """The accuracy report of a scene: residuals, held-out error, standard error and covariance, and the verdict.
+
+    `matches` are the final tie points.
+    """
+    if isinstance(model, FailedFit) or not len(matches):
+        return {"passed": False}
+    residuals = model.residuals(matches.reference_xy, matches.secondary_xy)
+    centre = np.array([(shape[1] - 1) / 2, (shape[0] - 1) / 2])
+    corners = np.array([[0, 0], [shape[1] - 1, 0], [0, shape[0] - 1], [shape[1] - 1, shape[0] - 1]], np.float64)
+    try:
+        known = prediction_covariance(
+            model, matches.reference_xy, matches.secondary_xy, at=np.concatenate([centre[None], corners])
+        )
+    except InputError:
+        known = FailedFit("the derivatives of this model are not known")
+    report: dict[str, Any] = {
+        "tie_points": len(matches),
+        "rmse_px": float(np.sqrt(np.mean(residuals**2))),
+        "median_px": float(np.median(residuals)),
+        "percentile95_px": float(np.percentile(residuals, 95)),
+    }
+    if not isinstance(known, FailedFit):
+        report["covariance_centre_px2"] = known[0].tolist()
+        report["standard_error_corners_px"] = np.sqrt(np.trace(known[1:], axis1=1, axis2=2)).tolist()
+    report["limits"] = {
+        name: {"value": gate.value, "low": gate.low, "high": gate.high, "passed": gate.passed}
+        for name, gate in gates.items()
+    }
+    report["passed"] = all(gate.passed for gate in gates.values())
+    return report

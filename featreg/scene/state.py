@@ -1,0 +1,108 @@
+"""Finished blocks on disk: one file each, so that a run that was killed goes on where it stopped.
+
+A file is an NPZ without pickles, named after its block and the digest of everything its content depends on (inputs,
+method, parameters, plan, prior, versions). It carries that digest and a checksum of its arrays. What does not fit (cut
+short, damaged, of another run, not ours at all) is not used, and its block is computed again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import logging
+import os
+import uuid
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from featreg.errors import InputError
+from featreg.result_file import plain
+from featreg.scene.blocks import Block
+from featreg.scene.task import BlockResult, columns_of, from_columns
+
+logger = logging.getLogger(__name__)
+
+
+def digest_of(content: Mapping[str, Any]) -> str:
+    """SHA-256 of values in a canonical form."""
+    text = json.dumps(plain(content), sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+class BlockFiles:
+    """The block files of one run in a folder.
+
+    Parameters
+    ----------
+    folder : made if it does not exist
+    digest : of everything that the content of a block depends on
+
+    Raises
+    ------
+    InputError
+        The folder cannot be made or written to.
+    """
+
+    def __init__(self, folder: str | Path, digest: str) -> None:
+        self.folder, self.digest = Path(folder), digest
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"resume folder '{folder}': cannot be made ({error.strerror}); give a folder") from error
+        if not os.access(self.folder, os.W_OK | os.X_OK):
+            raise InputError(f"resume folder '{folder}': may not be written to, choose another")
+        # What a killed run left half written.
+        for stray in self.folder.glob(f".block_{digest[:12]}_*.tmp"):
+            stray.unlink(missing_ok=True)
+
+    def path(self, block: Block) -> Path:
+        return self.folder / f"block_{self.digest[:12]}_{block.row:04d}_{block.col:04d}.npz"
+
+    def load(self, block: Block) -> BlockResult | None:
+        """The finished block, or None where there is no sound file of it."""
+        path = self.path(block)
+        try:
+            content = path.read_bytes()
+            with np.load(io.BytesIO(content), allow_pickle=False) as file:
+                columns = {name: file[name] for name in file.files}
+            if str(columns.pop("digest")) != self.digest or str(columns.pop("checksum")) != _checksum(columns):
+                raise ValueError("its digest or its checksum is not that of this block")
+            result = from_columns(columns)
+            if result.index != block.index:
+                raise ValueError("it holds another block")
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, NotImplementedError) as error:
+            logger.warning("block file %s is not used, its block is computed again (%s)", path, error)
+            return None
+        return result
+
+    def save(self, block: Block, result: BlockResult) -> None:
+        """Write a finished block; the file appears whole or not at all."""
+        columns = columns_of(result)
+        buffer = io.BytesIO()
+        np.savez(buffer, digest=np.array(self.digest), checksum=np.array(_checksum(columns)), **columns)  # type: ignore[arg-type]
+        path = self.path(block)
+        temporary = path.with_name(f".{path.stem}_{uuid.uuid4().hex}.tmp")
+        try:
+            # Without fsync: a file that a power cut leaves short is found out by its checksum.
+            temporary.write_bytes(buffer.getbuffer())
+            os.replace(temporary, path)
+        except OSError as error:
+            temporary.unlink(missing_ok=True)
+            raise InputError(f"cannot write block file '{path}': {error.strerror}") from error
+
+
+def _checksum(columns: Mapping[str, NDArray[Any]]) -> str:
+    total = hashlib.sha256()
+    for name in sorted(columns):
+        values = np.ascontiguousarray(columns[name])
+        total.update(f"{name} {values.dtype.str} {values.shape}".encode())
+        total.update(values.tobytes())
+    return total.hexdigest()

@@ -1,0 +1,263 @@
+"""The work of one block, as a function that any process can run from names, parameters and windows."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from featreg.geometry import Affine
+from featreg.interfaces import FailedFit, Filter, FilterContext, Matcher, Model
+from featreg.pipeline import ROUNDS, SCALE_PX
+from featreg.raster_source import Source, Window
+from featreg.refine import Refine
+from featreg.robust import irls
+from featreg.scene.blocks import Block
+from featreg.scene.prior import Prior
+from featreg.timing import collecting, stage
+from featreg.types import BoolArray, FloatArray, Image, Matches
+
+#: Least share of a window's pixels that are data.
+LEAST_VALID = 0.05
+#: Side of the cells whose means tell structure from speckle, px, and how many times the variance of these means must
+#: exceed what independent pixels give. Speckle alone gives 1, oversampled speckle up to 4.
+CELL = 16
+STRUCTURE = 6.0
+#: Tie points of a block that determine its own affine model, and those that determine a shift.
+LEAST_AFFINE, LEAST_SHIFT = 24, 6
+#: Refined tie points of a block.
+REFINED = 64
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """What all blocks of a scene have in common.
+
+    Parameters
+    ----------
+    reference, secondary : the scenes
+    matcher : the source of tie points
+    filters : (name, filter) of the local filters, in their order
+    model : class of the model to be fitted over all blocks, which filters may ask for
+    refine : the refinement, or None
+    seed : of everything random
+    most : most tie points of a block
+    own_process : whether the work is done in a process of its own, whose library threads are ours to set
+    """
+
+    reference: Source
+    secondary: Source
+    matcher: Matcher
+    filters: tuple[tuple[str, Filter], ...]
+    model: type[Model]
+    refine: Refine | None
+    seed: int
+    most: int
+    own_process: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class BlockResult:
+    """What came of one block: columns in scene coordinates.
+
+    Parameters
+    ----------
+    index : of the block
+    status : "done", "skipped" or "failed"
+    reason : why it was skipped or failed
+    matches : its own putative tie points
+    stages : name -> (M,) bool, of the prior and of each local filter, in their order
+    refined : its own refined tie points
+    candidates : points that refinement looked at
+    window : of the secondary that was searched, or None
+    seconds : by stage; of this run only
+    """
+
+    index: int
+    status: str
+    reason: str = ""
+    matches: Matches = field(default_factory=Matches.empty)
+    stages: Mapping[str, BoolArray] = field(default_factory=dict)
+    refined: Matches = field(default_factory=Matches.empty)
+    candidates: int = 0
+    window: Window | None = None
+    seconds: Mapping[str, float] = field(default_factory=dict)
+
+
+def run_block(job: Job, prior: Prior, block: Block) -> BlockResult:
+    """Match one block; whatever goes wrong is said in the result, and the scene goes on."""
+    import cv2
+
+    if job.own_process and cv2.getNumThreads() != 1:
+        cv2.setNumThreads(1)
+    try:
+        with collecting() as seconds:
+            result = _matched(job, prior, block)
+        return replace(result, seconds=dict(seconds))
+    except Exception as error:
+        logger.debug("block %d failed", block.index, exc_info=True)
+        text = " ".join(str(error).split()) or "no message"
+        return BlockResult(block.index, "failed", f"{type(error).__name__}: {text}"[:300])
+
+
+def _matched(job: Job, prior: Prior, block: Block) -> BlockResult:
+    here = block.outer
+    there = search_window(prior, here, job.secondary.shape)
+    if there is None:
+        return BlockResult(block.index, "skipped", "outside the secondary")
+    with stage("read"):
+        reference = job.reference.read(here)
+        why = emptiness(reference, "reference")
+        if not why:
+            secondary = job.secondary.read(there)
+            why = emptiness(secondary, "secondary")
+    if why:
+        return BlockResult(block.index, "skipped", why, window=there)
+    found = job.matcher.match(reference, secondary)
+    context = FilterContext(reference.shape, secondary.shape, job.model, np.random.default_rng([job.seed, block.index]))
+    with stage("prior"):
+        predicted = prior(found.reference_xy + here.origin) - there.origin
+        # A point that the prior does not reach cannot agree with it.
+        off = np.hypot(*(predicted - found.secondary_xy).T)
+        near = np.nan_to_num(off, nan=np.inf) <= prior.uncertainty_px * np.sqrt(2)
+    stages = {"prior": near}
+    kept = near
+    for name, keeper in job.filters:
+        with stage(name):
+            rows = np.flatnonzero(kept)
+            kept = np.zeros(len(found), np.bool_)
+            kept[rows[keeper.keep(found.take(rows), context)]] = True
+        stages[name] = kept
+    refined, candidates = Matches.empty(), 0
+    if job.refine is not None:
+        local = _local_model(prior, here, there, found.take(np.flatnonzero(kept)))
+        if local is not None:
+            with stage("refine"):
+                seen = job.refine.run(reference, secondary, local, Matches.empty(), REFINED)
+                refined, candidates = _moved(seen.matches, here, there), seen.candidates
+                refined = refined.take(np.flatnonzero(block.window.holds(refined.reference_xy)))
+    matches = _moved(found, here, there)
+    mine = np.flatnonzero(block.window.holds(matches.reference_xy))
+    # Best first, so that the cap leaves out the least confident; equal scores stay in their order.
+    mine = np.sort(mine[np.argsort(-np.nan_to_num(matches.score[mine]), kind="stable")][: job.most])
+    return BlockResult(
+        block.index,
+        "done",
+        "",
+        matches.take(mine),
+        {name: mask[mine] for name, mask in stages.items()},
+        refined,
+        candidates,
+        there,
+    )
+
+
+def search_window(prior: Prior, here: Window, shape: tuple[int, int]) -> Window | None:
+    """The rectangle of the secondary in which the homologous points of a window of the reference may lie, or None."""
+    x, y = np.meshgrid(np.linspace(0, here.width - 1, 7), np.linspace(0, here.height - 1, 7))
+    at = prior(np.column_stack([x.ravel(), y.ravel()]) + here.origin)
+    at = at[np.isfinite(at).all(axis=1)]
+    if not len(at):
+        return None
+    low = np.floor(at.min(axis=0) - prior.uncertainty_px).astype(int).tolist()
+    high = np.ceil(at.max(axis=0) + prior.uncertainty_px).astype(int).tolist()
+    return Window(low[0], low[1], high[0] - low[0] + 1, high[1] - low[1] + 1).within(shape)
+
+
+def emptiness(image: Image, role: str) -> str:
+    """Why a window holds nothing to match, or an empty text."""
+    import cv2
+
+    share = float(image.mask.mean())
+    if share < LEAST_VALID:
+        return f"no data in the {role}: {100 * share:.0f} % of the window"
+    height, width = (n // CELL * CELL for n in image.shape)
+    if min(height, width) < 4 * CELL:
+        return f"no room in the {role}: {image.shape[1]} x {image.shape[0]} pixels"
+    size = (width // CELL, height // CELL)
+    means = cv2.resize(image.amplitude[:height, :width], size, interpolation=cv2.INTER_AREA)
+    # Cells that lie wholly on data; the rim of nodata is no structure.
+    whole = cv2.resize(image.mask[:height, :width].view(np.uint8) * 255, size, interpolation=cv2.INTER_AREA) == 255
+    if whole.sum() < 16:
+        return f"no data in the {role}: no cell of {CELL} x {CELL} pixels is whole"
+    _, deviation = cv2.meanStdDev(image.amplitude, mask=image.mask.view(np.uint8))
+    variance = float(deviation[0, 0]) ** 2
+    if float(means[whole].var()) <= STRUCTURE * variance / CELL**2:
+        return f"no structure in the {role}: nothing but speckle, as on open water or in shadow"
+    return ""
+
+
+def _local_model(prior: Prior, here: Window, there: Window, kept: Matches) -> Affine | None:
+    """The affine map of a block in the pixels of its two windows, from its own tie points; None where there are none.
+
+    Few tie points only shift what the prior says.
+    """
+    if len(kept) < LEAST_SHIFT:
+        return None
+    if len(kept) >= LEAST_AFFINE:
+        own, _ = irls(Affine, kept.reference_xy, kept.secondary_xy, scale_px=SCALE_PX, iterations=ROUNDS)
+        if not isinstance(own, FailedFit):
+            return own
+    x, y = np.meshgrid(np.linspace(0, here.width - 1, 5), np.linspace(0, here.height - 1, 5))
+    lattice = np.column_stack([x.ravel(), y.ravel()])
+    mapped = prior(lattice + here.origin) - there.origin
+    good = np.isfinite(mapped).all(axis=1)
+    linear = Affine.from_estimate(lattice[good], mapped[good])
+    if isinstance(linear, FailedFit):
+        return None
+    off = np.median(kept.secondary_xy - linear(kept.reference_xy), axis=0)
+    return Affine(linear.coefficients + np.column_stack([np.zeros((2, 2)), off]))
+
+
+def _moved(matches: Matches, here: Window, there: Window) -> Matches:
+    """Tie points of two windows in the coordinates of the scenes."""
+    return replace(
+        matches,
+        reference_xy=matches.reference_xy + here.origin,
+        secondary_xy=matches.secondary_xy + there.origin,
+        origin=np.full(len(matches), -1),
+    )
+
+
+def columns_of(result: BlockResult) -> dict[str, NDArray[Any]]:
+    """A finished block as plain arrays, enough to make it again with `from_columns`."""
+    out: dict[str, NDArray[Any]] = {
+        "index": np.array(result.index),
+        "status": np.array(result.status),
+        "reason": np.array(result.reason),
+        "candidates": np.array(result.candidates),
+        "window": np.array([] if result.window is None else [*vars(result.window).values()], np.int64),
+        "stages": np.array(list(result.stages), np.str_),
+        "masks": np.array(list(result.stages.values()), np.bool_).reshape(len(result.stages), len(result.matches)),
+    }
+    for part, matches in (("matches", result.matches), ("refined", result.refined)):
+        for name in ("reference_xy", "secondary_xy", "score", "covariance", "rotation", "scale_ratio"):
+            values: FloatArray | None = getattr(matches, name)
+            if values is not None:
+                out[f"{part}.{name}"] = values
+    return out
+
+
+def from_columns(columns: Mapping[str, NDArray[Any]]) -> BlockResult:
+    """The block of `columns_of`."""
+    parts = {}
+    for part in ("matches", "refined"):
+        known = {k.partition(".")[2]: v for k, v in columns.items() if k.startswith(f"{part}.")}
+        parts[part] = Matches(**known)
+    window = columns["window"].tolist()
+    return BlockResult(
+        int(columns["index"]),
+        str(columns["status"]),
+        str(columns["reason"]),
+        parts["matches"],
+        {str(name): mask for name, mask in zip(columns["stages"], columns["masks"], strict=True)},
+        parts["refined"],
+        int(columns["candidates"]),
+        Window(*window) if window else None,
+    )

@@ -1,0 +1,208 @@
+"""Images and features as the tensors and local affine frames (LAFs) that PyTorch and kornia use, and back.
+
+kornia counts pixels as this package does: x to the right, y down, the centre of the first pixel at (0, 0). A LAF is a
+matrix ``[A | c]`` that maps the square [-1, 1] x [-1, 1] onto the support of a feature around its centre c; of a
+feature it holds ``A = scale [[cos, sin], [-sin, cos]]`` of its angle. kornia's scale and angle are therefore ours.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from featreg.errors import InputError, ParameterError, PluginUnavailableError
+from featreg.opencv import grey
+from featreg.types import Features, FloatArray, Image
+
+if TYPE_CHECKING:
+    import torch
+
+CURE = "pip install featreg[torch]"
+DEVICES = "'cpu', 'cuda', 'cuda:1', 'mps' or 'auto'"
+
+
+def import_torch() -> Any:
+    """Return the module `torch`.
+
+    Raises
+    ------
+    PluginUnavailableError
+        It cannot be imported.
+    """
+    try:
+        import torch
+    except (ImportError, OSError) as error:
+        raise PluginUnavailableError(f"torch cannot be imported ({error}); {CURE}") from error
+    return torch
+
+
+def to_tensor(image: Image, normalise: str = "auto", device: str = "cpu") -> torch.Tensor:
+    """Return the picture of an image that networks are given.
+
+    Parameters
+    ----------
+    image : of (H, W) pixels
+    normalise : how amplitude becomes 8 bits; see `featreg.sar.normalise.to_uint8`
+    device : where the tensor lies; see `as_device`
+
+    Returns
+    -------
+    (1, 1, H, W) float32, 0 to 1; invalid pixels hold the median of the valid ones
+    """
+    torch = import_torch()
+    picture = np.array(grey(image, normalise), np.float32) / np.float32(255)
+    tensor: torch.Tensor = torch.from_numpy(picture)[None, None].to(as_device(device))
+    return tensor
+
+
+def to_image(tensor: torch.Tensor, mask: NDArray[np.bool_] | None = None, name: str = "tensor") -> Image:
+    """Return a tensor as an image of linear amplitude or complex samples.
+
+    Parameters
+    ----------
+    tensor : (H, W), (1, H, W) or (1, 1, H, W), real and not negative, or complex
+    mask : (H, W) bool, True = valid
+    name : what the image is called
+
+    Raises
+    ------
+    InputError
+        Another shape, or values that no image can hold.
+    """
+    from dataclasses import replace
+
+    from featreg.io import as_image
+
+    if tensor.ndim not in (2, 3, 4) or any(n != 1 for n in tensor.shape[:-2]):
+        raise InputError(f"{name}: has shape {tuple(tensor.shape)}; one image is (H, W), (1, H, W) or (1, 1, H, W)")
+    samples = tensor.detach().cpu().reshape(tuple(tensor.shape[-2:]))
+    if samples.dtype.is_floating_point:
+        samples = samples.float()
+    return replace(as_image(samples.numpy(), mask=mask), name=name)
+
+
+def to_lafs(features: Features) -> torch.Tensor:
+    """Return (1, N, 2, 3) float64 LAFs of N features."""
+    torch = import_torch()
+    cos, sin = features.scale * np.cos(features.angle), features.scale * np.sin(features.angle)
+    x, y = features.xy.T
+    rows = np.array([[cos, sin, x], [-sin, cos, y]], np.float64)
+    tensor: torch.Tensor = torch.from_numpy(np.ascontiguousarray(np.moveaxis(rows, 2, 0)))[None]
+    return tensor
+
+
+def from_lafs(
+    lafs: torch.Tensor, score: ArrayLike | None = None, descriptors: NDArray[Any] | torch.Tensor | None = None
+) -> Features:
+    """Return LAFs as features.
+
+    Parameters
+    ----------
+    lafs : (1, N, 2, 3) or (N, 2, 3)
+    score : (N,); without it 1
+    descriptors : (N, D)
+
+    Raises
+    ------
+    InputError
+        Another shape.
+
+    Notes
+    -----
+    The rows of zeros with which kornia fills up what its detectors return are left out. The scale is the root of the
+    determinant and the angle that of the x axis in [0, 2 pi): an elongated or mirrored frame becomes a circle.
+    """
+    shape = tuple(lafs.shape)
+    if shape[-2:] != (2, 3) or not (len(shape) == 3 or (len(shape) == 4 and shape[0] == 1)):
+        raise InputError(f"LAFs have shape (1, N, 2, 3) or (N, 2, 3), got {shape}")
+    frames = to_numpy(lafs).reshape(-1, 2, 3)
+    filled = (frames != 0).any(axis=(1, 2))
+    table = None if descriptors is None else np.ascontiguousarray(to_numpy(descriptors, np.float32)[filled])
+    frames = frames[filled]
+    n = len(frames)
+    if score is not None:
+        score = to_numpy(score).reshape(-1)[filled]
+    return Features(
+        xy=frames[:, :, 2],
+        scale=np.sqrt(np.abs(np.linalg.det(frames[:, :, :2]))) if n else np.zeros(0),
+        angle=wrapped(np.arctan2(frames[:, 0, 1], frames[:, 0, 0])),
+        score=np.ones(n) if score is None else score,
+        level=np.zeros(n, np.int64),
+        descriptors=table,
+    )
+
+
+def wrapped(angle: FloatArray) -> FloatArray:
+    """Return angles in radians as the same directions in [0, 2 pi)."""
+    turned = angle % (2 * np.pi)
+    return np.where(turned >= 2 * np.pi, 0.0, turned)
+
+
+def to_numpy(values: Any, dtype: Any = np.float64) -> NDArray[Any]:
+    """Return a tensor, wherever it lies, or anything like an array as a numpy array of `dtype`."""
+    if hasattr(values, "detach"):
+        values = values.detach().cpu().numpy()
+    return np.asarray(values, dtype)
+
+
+def as_device(name: str) -> Any:
+    """Return the `torch.device` of a name; "auto" is the first accelerator there is, else the processor.
+
+    Raises
+    ------
+    ParameterError
+        No such device on this machine.
+    """
+    torch = import_torch()
+    if name == "auto":
+        name = "cuda" if torch.cuda.is_available() else "mps" if torch.backends.mps.is_available() else "cpu"
+    try:
+        device = torch.device(name)
+    except (RuntimeError, TypeError) as error:
+        raise ParameterError(f"unknown device {name!r}: give {DEVICES}") from error
+    there = {
+        "cpu": True,
+        "cuda": torch.cuda.is_available() and (device.index or 0) < torch.cuda.device_count(),
+        "mps": torch.backends.mps.is_available(),
+    }
+    if not there.get(device.type, False):
+        raise ParameterError(f"device {name!r} is not on this machine: use 'cpu', or 'auto' for the best there is")
+    return device
+
+
+_pin = threading.Lock()
+_pinned = 0
+_before = 0
+
+
+@contextmanager
+def inference(threads: int = 1) -> Iterator[None]:
+    """Run a network inside the block: without gradients, and on so many threads of the processor (0: as torch has it).
+
+    With one thread the sums of a network have one order, and with it one result, on every machine of a kind. The
+    setting is per process: of blocks that overlap the first sets it, and the last puts back what was there before.
+    """
+    global _pinned, _before
+    torch = import_torch()
+    if threads > 0:
+        with _pin:
+            if _pinned == 0:
+                _before = torch.get_num_threads()
+                torch.set_num_threads(threads)
+            _pinned += 1
+            if torch.get_num_threads() != threads:
+                torch.set_num_threads(threads)
+    try:
+        with torch.no_grad():
+            yield
+    finally:
+        if threads > 0:
+            with _pin:
+                _pinned -= 1
+                if _pinned == 0:
+                    torch.set_num_threads(_before)

@@ -1,0 +1,129 @@
+"""Files appear whole or not at all, never in place of an input; arrays to GeoTIFF.
+
+Everything is written under a temporary name in the folder of the target, so that the last step is a rename.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import uuid
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from featreg.errors import FeatregError, InputError
+from featreg.readers import quiet, reason
+from featreg.types import Geolocation
+
+
+@contextmanager
+def replacing(path: str | Path, *, inputs: Iterable[Any] = ()) -> Iterator[Path]:
+    """Give a temporary path to write to, and move what was written there to `path` at the end.
+
+    Parameters
+    ----------
+    path : an existing file is replaced
+    inputs : files that must not be replaced; what is no path is passed over
+
+    Raises
+    ------
+    InputError
+        `path` is a folder or an input, or the file cannot be written. Errors of `OSError` and of rasterio inside the
+        block become this one.
+    """
+    path = Path(path)
+    refuse_input(path, inputs)
+    if path.is_dir():
+        raise InputError(f"{path}: is a directory, the name of a file is needed")
+    # A folder of its own: GDAL and SQLite put files of their own beside the one they write.
+    folder = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
+    try:
+        folder.mkdir()
+        temporary = folder / path.name
+        yield temporary
+        os.replace(temporary, path)
+    except Exception as error:
+        if isinstance(error, FeatregError) or not _of_writing(error):
+            raise
+        message = f"{path}: cannot be written ({reason(error)}); give a file in an existing, writable folder"
+        raise InputError(message) from error
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _of_writing(error: Exception) -> bool:
+    if isinstance(error, OSError | ValueError | TypeError):
+        return True
+    return type(error).__module__.partition(".")[0] in ("rasterio", "sqlite3", "pyarrow")
+
+
+def refuse_input(path: Path, inputs: Iterable[Any]) -> None:
+    """Raise an `InputError` where writing `path` would replace one of the files it is made from."""
+    for given in inputs:
+        if isinstance(given, str | Path) and path.exists() and Path(given).exists() and path.samefile(given):
+            raise InputError(f"{path}: would replace an input, give another name for the output")
+
+
+def write_geotiff(
+    path: str | Path,
+    array: NDArray[Any],
+    geolocation: Geolocation | None = None,
+    nodata: float | None = None,
+) -> None:
+    """Write an (H, W) array as a GeoTIFF; the file appears whole or not at all.
+
+    Parameters
+    ----------
+    path : an existing file is replaced
+    array : (H, W) integer, float or complex; bool is written as uint8, float16 as float32
+    geolocation : transform and CRS, or ground control points, and RPC coefficients to store
+    nodata : the value of pixels that are not data
+
+    Raises
+    ------
+    InputError
+        The array is not 2-D and numeric, or the file cannot be written.
+    """
+    path = Path(path)
+    if array.ndim != 2 or not array.size or array.dtype.kind not in "buifc":
+        raise InputError(
+            f"{path}: cannot write {array.dtype} {array.shape}, a non-empty (H, W) numeric array is needed"
+        )
+    array = array.astype({"bool": np.uint8, "float16": np.float32}.get(array.dtype.name, array.dtype), copy=False)
+    import rasterio
+
+    height, width = array.shape
+    profile = {"driver": "GTiff", "height": height, "width": width, "count": 1, "dtype": array.dtype.name}
+    profile |= {"compress": "deflate", "tiled": min(height, width) >= 256, "bigtiff": "if_safer", "nodata": nodata}
+    with (
+        replacing(path) as temporary,
+        quiet(),
+        rasterio.open(temporary.absolute(), "w", **profile, **geolocation_profile(geolocation)) as dataset,
+    ):
+        dataset.write(array, 1)
+
+
+def geolocation_profile(geolocation: Geolocation | None) -> dict[str, Any]:
+    """Return the geolocation as rasterio's keywords."""
+    if geolocation is None:
+        return {}
+    from rasterio.control import GroundControlPoint
+    from rasterio.rpc import RPC
+    from rasterio.transform import Affine
+
+    keywords: dict[str, Any] = {} if geolocation.crs is None else {"crs": geolocation.crs}
+    if geolocation.transform is not None:
+        keywords["transform"] = Affine(*geolocation.transform)
+    elif geolocation.gcps is not None:
+        # Our points count from the centre of the first pixel, GDAL's from its corner.
+        keywords["gcps"] = [
+            GroundControlPoint(row=y + 0.5, col=x + 0.5, x=e, y=n, z=z) for x, y, e, n, z in geolocation.gcps.tolist()
+        ]
+    if geolocation.rpcs is not None:
+        keywords["rpcs"] = RPC(**geolocation.rpcs)
+    return keywords
