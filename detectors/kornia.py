@@ -83,7 +83,9 @@ class KorniaDetector(KorniaPart, Detector):
             tensor = to_tensor(image, values["normalise"], values["device"])
             features = (_described if self.row.describes else self._framed)(network, tensor, values)
             features = _best(features.take(_clear(features, image)), values["n_features"])
-            return features if self.row.describes else _oriented(features, tensor, values)
+            if self.row.describes:
+                return features if values["describe"] else replace(features, descriptors=None)
+            return _oriented(features, tensor, values)
 
     def _framed(self, network: Any, tensor: Any, values: Mapping[str, Any]) -> Features:
         """Upright frames of every candidate."""
@@ -245,7 +247,7 @@ PYRAMID = {
 }
 ORIENTATION = {"orientation": ("gradient", "none")}
 # The size that their descriptors see is not in the interface of these networks: a nominal radius in pixels.
-LEARNED = {"n_features": BUDGET, "support": 8.0, "weights": None, **COMMON}
+LEARNED = {"n_features": BUDGET, "describe": True, "support": 8.0, "weights": None, **COMMON}
 ALIKED_MODELS = ("aliked-t16", "aliked-n16", "aliked-n16rot", "aliked-n32")
 TABLE: dict[str, DetectorRow] = {
     "kornia-harris": DetectorRow(

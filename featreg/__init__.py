@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from featreg.errors import FeatregError
     from featreg.evaluation import evaluate
     from featreg.experiments.experiment import Experiment
+    from featreg.exports.formats import export
     from featreg.extraction import extractor
     from featreg.feature_matcher import FeatureMatcher
     from featreg.focusing import FocusResult, focus
@@ -28,9 +29,12 @@ if TYPE_CHECKING:
     from featreg.matching import fit, match
     from featreg.phase_history import PhaseHistory, read_phase_history
     from featreg.pipeline import Pipeline
+    from featreg.products import Product, warp_file
     from featreg.registry import available, create, register, register_family
     from featreg.resample import warp
     from featreg.sar.backprojection import GroundGrid, back_project, carrier
+    from featreg.sar.coherence import coherence
+    from featreg.tie_points import read_tie_points
     from featreg.types import Features, Image, Matches, Registration
     from featreg.warming import warm_up
 
@@ -40,12 +44,14 @@ _HOMES = {
     "available": "registry",
     "back_project": "sar.backprojection",
     "carrier": "sar.backprojection",
+    "coherence": "sar.coherence",
     "compare": "comparison",
     "create": "registry",
     "Descriptor": "interfaces",
     "Detector": "interfaces",
     "evaluate": "evaluation",
     "Experiment": "experiments.experiment",
+    "export": "exports.formats",
     "extractor": "extraction",
     "FailedFit": "interfaces",
     "FeatregError": "errors",
@@ -65,12 +71,15 @@ _HOMES = {
     "Nearest": "interfaces",
     "PhaseHistory": "phase_history",
     "Pipeline": "pipeline",
+    "Product": "products",
     "read_phase_history": "phase_history",
+    "read_tie_points": "tie_points",
     "register": "registry",
     "register_family": "registry",
     "Registration": "types",
     "warm_up": "warming",
     "warp": "resample",
+    "warp_file": "products",
 }
 
 __all__ = [
@@ -92,24 +101,29 @@ __all__ = [
     "Nearest",
     "PhaseHistory",
     "Pipeline",
+    "Product",
     "Registration",
     "__version__",
     "as_image",
     "available",
     "back_project",
     "carrier",
+    "coherence",
     "compare",
     "create",
     "evaluate",
+    "export",
     "extractor",
     "fit",
     "focus",
     "match",
     "read_phase_history",
+    "read_tie_points",
     "register",
     "register_family",
     "warm_up",
     "warp",
+    "warp_file",
 ]
 
 

@@ -91,7 +91,7 @@ def assemble(
     robust = keywords.pop("robust", preset.robust)
     for key, value in (("common_rotation", common), ("robust", robust)):
         registry.check_type(key, value, True)
-    refinement, limits = _route(keywords, slots, steps, preset.trust)
+    refinement, limits = _route(keywords, slots, steps, preset)
     for slot in slots.values():
         if "n_features" in slot.known:
             slot.parameters.setdefault("n_features", budget)
@@ -170,11 +170,10 @@ def _filters(preset: Preset, keywords: dict[str, Any]) -> dict[str, _Slot]:
 
 
 def _route(
-    keywords: dict[str, Any], slots: Mapping[str, _Slot], steps: Mapping[str, _Slot], limits: Mapping[str, Any]
+    keywords: dict[str, Any], slots: Mapping[str, _Slot], steps: Mapping[str, _Slot], preset: Preset
 ) -> tuple[dict[str, Any], Limits]:
     """Give every keyword to the one part that has a parameter of that name."""
-    refinement: dict[str, Any] = {}
-    trust = dict(limits)
+    refinement, trust = dict(preset.refinement), dict(preset.trust)
     takers: dict[str, tuple[dict[str, Any], set[str]]] = {
         "refine": (refinement, {f.name for f in fields(Refine)}),
         "trust": (trust, {f.name for f in fields(Limits)}),

@@ -1,4 +1,4 @@
-"""The command line: `featreg match`, `compare`, `sweep`, `warp`, `focus`, `list`, `demo`, `doctor`.
+"""The command line: `featreg match`, `compare`, `sweep`, `warp`, `export`, `focus`, `list`, `demo`, `doctor`.
 
 Exit codes: 0 good; 1 an error of this program; 2 usage or bad input; 3 no trustworthy result (what was asked for is
 still written); 4 a comparison with failed rows; 130 interrupted. Whatever goes wrong is one line on stderr.
@@ -15,7 +15,7 @@ from typing import Annotated, Any
 
 import typer
 
-from featreg import cli_compare, cli_focus, cli_info, cli_match, cli_sweep
+from featreg import cli_compare, cli_export, cli_focus, cli_info, cli_match, cli_sweep, cli_warp
 from featreg._version import __version__
 from featreg.errors import FeatregError, UnknownNameError, suggest
 
@@ -23,7 +23,8 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "match": cli_match.match,
     "compare": cli_compare.compare,
     "sweep": cli_sweep.sweep,
-    "warp": cli_match.warp,
+    "warp": cli_warp.warp,
+    "export": cli_export.export,
     "focus": cli_focus.focus,
     "list": cli_info.list_plugins,
     "demo": cli_info.demo,

@@ -96,7 +96,8 @@ def compare(
 
     Exit code 4 means that a method failed with an error on a pair; its row says which.
     """
-    cli_study.check_outputs(layout_format, layout, out, report, save, resume)
+    output = cli_study.Output(layout_format, layout, out, report, save, resume)
+    output.check()
     if experiment is not None:
         _refuse_beside_file(context)
         found = _from_file(experiment, metrics, layout, times)
@@ -125,19 +126,7 @@ def compare(
             ),
             metrics=cli_study.metrics_of(metrics, layout),
         )
-    table = cli_study.run(
-        found,
-        workers=workers,
-        isolate=isolate,
-        resume=resume,
-        layout_format=layout_format,
-        layout=layout,
-        out=out,
-        report=report,
-        save=save,
-        text="comparing",
-    )
-    raise typer.Exit(4 if table.failed else 0)
+    cli_study.run(found, output, "comparing", workers=workers, isolate=isolate)
 
 
 def _names(methods: str) -> list[str]:

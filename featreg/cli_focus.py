@@ -37,9 +37,7 @@ LARGE, BLOCK = 1 << 26, 1 << 25
 def focus(
     image: Annotated[
         str,
-        typer.Argument(
-            metavar="IN", help="Complex image: GeoTIFF, NPY or file.mat:variable.", show_default=False
-        ),
+        typer.Argument(metavar="IN", help="Complex image: GeoTIFF, NPY or file.mat:variable.", show_default=False),
     ],
     output: Annotated[
         str,
@@ -76,8 +74,8 @@ def focus(
         int, typer.Option("--max-iterations", parser=whole_number(1), metavar="N", help="Most iterations.")
     ] = 60,
     detrend: Annotated[
-        bool, typer.Option("--detrend/--no-detrend", help="Keep the image's centre of mass in azimuth where it was.")
-    ] = False,
+        bool, typer.Option("--detrend/--no-detrend", help="Leave the image where it was in azimuth.")
+    ] = True,
     range_blocks: Annotated[
         int | None,
         typer.Option(
@@ -114,7 +112,8 @@ def focus(
     check_output(output, "--output", suffixes=SUFFIXES, inputs=inputs)
     check_output(plot, "--plot", suffixes=[".png"], inputs=inputs)
     check_output(json_file, "--json", suffixes=[".json"], inputs=inputs)
-    if len({Path(p).absolute() for p in (output, plot, json_file) if p}) < sum(bool(p) for p in (output, plot, json_file)):
+    targets = [Path(p).absolute() for p in (output, plot, json_file) if p is not None]
+    if len(set(targets)) < len(targets):
         raise ParameterError("--output, --plot and --json need different files")
     with limited_threads(workers):
         from featreg.focusing import METHODS

@@ -1,8 +1,7 @@
-"""`featreg match` and `featreg warp`: one pair, and the product of its registration."""
+"""`featreg match`: one pair of images."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -16,7 +15,6 @@ from featreg.cli_options import (
     SeedOption,
     SetOption,
     announce_compiling,
-    check_name,
     check_output,
     distance,
     limited_threads,
@@ -24,10 +22,23 @@ from featreg.cli_options import (
     progress,
     whole_number,
 )
+from featreg.cli_scene import (
+    BlockOption,
+    DemOption,
+    HeightOption,
+    ResumeOption,
+    SchedulerOption,
+    WholeOption,
+    block_progress,
+    check_block_options,
+    cluster,
+    kept_when_interrupted,
+    may_be_blocks,
+)
 from featreg.errors import InputError, ParameterError
 
 if TYPE_CHECKING:
-    from featreg.types import Geolocation, Registration
+    from featreg.types import Registration
 
 RADIUS = 20.0
 
@@ -43,6 +54,15 @@ def match(
     refine: RefineOption = None,
     scale: ScaleOption = None,
     nodata: NodataOption = None,
+    focus: Annotated[
+        str | None,
+        typer.Option(
+            "--focus",
+            metavar="METHOD",
+            help="Autofocus of complex images first (azimuth down the columns): auto, mea, pmea, mca, pga or legendre.",
+            show_default=False,
+        ),
+    ] = None,
     initial: Annotated[
         str | None,
         typer.Option(
@@ -85,25 +105,34 @@ def match(
             "--workers",
             parser=whole_number(1),
             metavar="N",
-            help="Most threads of all libraries.",
-            show_default="as they choose",
+            help="Worker processes where it is done in blocks, else most threads of all libraries.",
+            show_default="every processor, or as they choose",
         ),
     ] = None,
+    block: BlockOption = None,
+    whole: WholeOption = False,
+    scheduler: SchedulerOption = None,
+    dem: DemOption = None,
+    height: HeightOption = None,
+    resume: ResumeOption = None,
 ) -> None:
     """Register one SAR image to another.
 
     Finds tie points, fits a geometric model and judges whether it can be trusted.
 
     Images are GeoTIFF, TIFF, PNG, JPEG, BMP, NPY or file.mat:variable. Exit code 3 means that the result, which is
-    still written, cannot be trusted.
+    still written, cannot be trusted. Large images are worked on in blocks, which can be spread over processes or a
+    cluster and kept in a folder, so that a run that was stopped goes on where it was.
     """
-    inputs = [f for f in (reference, secondary, initial, mask_reference, mask_secondary) if f is not None]
+    inputs = [f for f in (reference, secondary, initial, mask_reference, mask_secondary, dem) if f is not None]
     check_output(json_file, "--json", inputs=inputs)
     check_output(plot, "--plot", suffixes=[".png"], inputs=inputs)
     keywords = parse_settings(settings)
     if initial is None and search_radius is not None:
         raise ParameterError("--search-radius needs --initial RESULT.json, the result around which to search")
-    with limited_threads(workers):
+    check_block_options(block, whole, workers, scheduler, dem, height, resume)
+    blocks = may_be_blocks(whole, [block, scheduler, dem, height, resume], [reference, secondary])
+    with kept_when_interrupted(resume), limited_threads(workers, 1 if blocks else None), cluster(scheduler) as client:
         from featreg.matching import match as register
         from featreg.types import Registration
 
@@ -125,6 +154,14 @@ def match(
             secondary_mask=mask_secondary,
             nodata=nodata,
             scale=scale,
+            focus=focus,
+            block=False if whole else block,
+            executor=client,
+            workers=workers,
+            dem=dem,
+            height=height,
+            resume=resume,
+            progress=block_progress(),
             **keywords,
         )
         written = []
@@ -163,6 +200,10 @@ def summary(result: Registration, written: list[str]) -> str:
     if result.model and result.inliers.any():
         rmse = float(np.sqrt(np.mean(result.residuals()[result.inliers] ** 2)))
         lines.append(f"  residuals   RMSE {rmse:.2f} px over the final tie points")
+    blocks = provenance.get("blocks")
+    if blocks:
+        counts = ", ".join(f"{blocks[name]} {name}" for name in ("computed", "reused", "skipped", "failed"))
+        lines.append(f"  blocks      {blocks['total']} of about {blocks['size']} px: {counts}")
     stages = ", ".join(f"{name} {seconds:.2f}" for name, seconds in result.timings.items())
     lines.append(f"  seconds     {computing_time(result):.2f}: {stages}")
     if written:
@@ -185,6 +226,14 @@ def _describe(result: Registration) -> str:
     centre = np.array([[(size["width"] - 1) / 2, (size["height"] - 1) / 2]])
     rotation, zoom, _, _ = decompose(local_linear(model, centre)[0])
     dx, dy = (model(centre) - centre)[0]
+    errors = result.standard_errors
+    if errors:
+        sx, sy = errors["shift_se_px"]
+        return (
+            f"{model_name(type(model))}: rotation {rotation:+.3f} +- {errors['rotation_deg_se']:.3f} deg "
+            f"counter-clockwise, shift ({dx:+.2f} +- {sx:.2f}, {dy:+.2f} +- {sy:.2f}) px (right, down), standard errors, "
+            "at the image centre"
+        )
     return (
         f"{model_name(type(model))}: rotation {rotation:+.3f} deg counter-clockwise, scale {zoom:.5f}, "
         f"shift ({dx:+.2f}, {dy:+.2f}) px (right, down), all at the image centre"
@@ -197,96 +246,3 @@ def _known_model(result: Registration, path: str) -> Any:
     if isinstance(result.model, FailedFit):
         raise InputError(f"--initial '{path}' holds no model ({result.model.reason}), give a result that has one")
     return result.model
-
-
-def warp(
-    result_file: Annotated[
-        str, typer.Argument(metavar="RESULT.json", help="What `featreg match --json` wrote.", show_default=False)
-    ],
-    secondary: Annotated[
-        str, typer.Argument(metavar="SEC", help="The secondary image of that result.", show_default=False)
-    ],
-    output: Annotated[
-        str, typer.Option("--output", "-o", metavar="OUT.tif", help="GeoTIFF to write.", show_default=False)
-    ],
-    like: Annotated[
-        str | None,
-        typer.Option(
-            "--like",
-            metavar="REF",
-            help="The reference image, whose georeferencing the output gets.",
-            show_default="the path in the result",
-        ),
-    ] = None,
-    resampling: Annotated[
-        str, typer.Option("--resampling", metavar="KIND", help="nearest, bilinear, cubic or lanczos.")
-    ] = "lanczos",
-    scale: Annotated[
-        str | None,
-        typer.Option(
-            "--scale",
-            metavar="SCALE",
-            help="What the samples are: amplitude, intensity or db.",
-            show_default="as in the result",
-        ),
-    ] = None,
-    nodata: NodataOption = None,
-) -> None:
-    """Resample the secondary onto the reference.
-
-    The output holds linear amplitude, or complex samples where the secondary does, and NaN where there is no data.
-    Exit code 3 means that the registration, and so the output, cannot be trusted.
-    """
-    check_output(
-        output, "--output", suffixes=[".tif", ".tiff"], inputs=[result_file, secondary, *([like] if like else [])]
-    )
-    from featreg.io import as_image, write_geotiff
-    from featreg.resample import TAPS
-    from featreg.resample import warp as resample
-    from featreg.types import Registration
-
-    check_name(resampling, TAPS, "resampling")
-    result = Registration.from_json(result_file)
-    recorded = result.provenance.get("inputs") or {}
-    known = recorded.get("secondary") or {}
-    if scale is None and known.get("path") == secondary and known.get("scale") != "complex":
-        scale = known.get("scale")
-    image = as_image(secondary, nodata=nodata, scale=scale)
-    size = (known.get("height"), known.get("width"))
-    if None not in size and image.shape != size:
-        raise InputError(f"{secondary}: {_size(image.shape)}, but the secondary of '{result_file}' was {_size(size)}")
-    geolocation, shape = _grid(like, recorded.get("reference") or {}, result_file)
-    progress(f"resampling '{secondary}'")
-    aligned = resample(result, image, like=shape, resampling=resampling)
-    write_geotiff(output, aligned, geolocation, nodata=None if image.is_complex else float("nan"))
-    place = "georeferenced as the reference" if geolocation is not None else "without georeferencing"
-    typer.echo(f"written: {output}, {_size(aligned.shape)}, {aligned.dtype}, {place}")
-    raise typer.Exit(0 if result.status == "ok" else 3)
-
-
-def _grid(
-    like: str | None, recorded: dict[str, Any], result_file: str
-) -> tuple[Geolocation | None, tuple[int, int] | None]:
-    """Georeferencing and (H, W) of the reference, from `like` or the path in the result; None where not known."""
-    from featreg.io import as_image
-
-    size = (recorded.get("height"), recorded.get("width"))
-    if like is not None:
-        image = as_image(like)
-        if None not in size and image.shape != size:
-            raise InputError(
-                f"--like '{like}': {_size(image.shape)}, but the reference of '{result_file}' was {_size(size)}"
-            )
-        return image.geolocation, image.shape
-    path = recorded.get("path")
-    if not isinstance(path, str) or not Path(path).is_file():
-        return None, None
-    try:
-        image = as_image(path)
-    except InputError:
-        return None, None
-    return (image.geolocation, None) if image.shape == size else (None, None)
-
-
-def _size(shape: Any) -> str:
-    return f"{shape[1]} x {shape[0]} pixels"

@@ -23,6 +23,7 @@ OWN_OPTIONS = {
     "refine": "--refine or --no-refine",
     "n_features": "--n-features",
     "scale": "--scale",
+    "focus": "--focus",
     "nodata": "--nodata",
     "initial": "--initial",
     "search_radius": "--search-radius",
@@ -213,17 +214,20 @@ def check_name(given: str, known: Iterable[str], what: str) -> None:
 
 
 @contextmanager
-def limited_threads(count: int | None) -> Iterator[None]:
+def limited_threads(count: int | None, algebra: int | None = None) -> Iterator[None]:
     """Let the libraries use at most `count` threads inside the block; None leaves them alone.
+
+    `algebra` is the limit of the linear algebra where it is to be another.
 
     OpenCV is told directly. The linear algebra reads its limit when it is first imported, which is why the commands
     import nothing heavy before this.
     """
+    algebra = count if algebra is None else algebra
+    if algebra is not None and "numpy" not in sys.modules:
+        os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(algebra)))
     if count is None:
         yield
         return
-    if "numpy" not in sys.modules:
-        os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(count)))
     import cv2
 
     before = cv2.getNumThreads()

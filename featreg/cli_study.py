@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TypeAlias
 
 import typer
 
@@ -22,14 +22,13 @@ from featreg.errors import InputError, ParameterError
 
 if TYPE_CHECKING:
     from featreg.experiments.experiment import Experiment
+    from featreg.experiments.study import Study
     from featreg.table import Table
 
 FORMATS = ("md", "csv", "latex", "json")
 LAYOUTS = ("table2", "table3")
 OUTPUTS = {".md": "to_markdown", ".csv": "to_csv", ".tex": "to_latex", ".json": "to_json", ".parquet": "to_parquet"}
 EXPERIMENTS = (".yaml", ".yml", ".toml")
-
-logger = logging.getLogger(__name__)
 
 
 def seconds(text: Any) -> float:
@@ -175,7 +174,7 @@ def pairs_of(images: Sequence[str], truth: Sequence[str]) -> list[dict[str, Any]
     else:
         folder = next((image for image in images if Path(image).is_dir()), None)
         if folder is not None:
-            raise InputError(f"'{folder}' is a folder: give one folder of pairs, or images REF SEC [REF SEC ...]")
+            raise InputError(f"'{folder}' is a directory: give one folder of pairs, or images REF SEC [REF SEC ...]")
         if len(images) % 2 or not images:
             last = f": '{images[-1]}' has no partner" if images else ""
             raise InputError(f"images come in pairs REF SEC [REF SEC ...], got {len(images)}{last}")
@@ -200,53 +199,54 @@ def check_images(experiment: Experiment) -> None:
         as_image(path, nodata=protocol.nodata, scale=protocol.scale)
 
 
-def check_outputs(
-    layout_format: str, layout: str | None, out: str | None, report: str | None, save: str | None, resume: str | None
-) -> None:
-    """Raise where something could not be written or printed, before any work is done for it."""
-    check_name(layout_format, FORMATS, "format")
-    if layout is not None:
-        check_name(layout, LAYOUTS, "layout")
-        if layout_format == "json":
-            raise ParameterError("--layout is for --format md, csv or latex; JSON holds everything")
-    check_output(out, "--out", suffixes=tuple(OUTPUTS))
-    check_output(report, "--report", suffixes=(".html",))
-    check_output(save, "--save", suffixes=EXPERIMENTS)
-    if resume is not None:
-        path = Path(resume)
-        check_folder(path if path.exists() else path.absolute().parent, f"--resume '{resume}'")
+@dataclass(frozen=True)
+class Output:
+    """What is printed and written, and where results are kept."""
+
+    layout_format: str = "md"
+    layout: str | None = None
+    out: str | None = None
+    report: str | None = None
+    save: str | None = None
+    resume: str | None = None
+
+    def check(self) -> None:
+        """Raise where something could not be written or printed, before any work is done for it."""
+        check_name(self.layout_format, FORMATS, "format")
+        if self.layout is not None:
+            check_name(self.layout, LAYOUTS, "layout")
+            if self.layout_format == "json":
+                raise ParameterError("--layout is for --format md, csv or latex; JSON holds everything")
+        check_output(self.out, "--out", suffixes=tuple(OUTPUTS))
+        check_output(self.report, "--report", suffixes=(".html",))
+        check_output(self.save, "--save", suffixes=EXPERIMENTS)
+        if self.resume is not None:
+            path = Path(self.resume)
+            check_folder(path if path.exists() else path.absolute().parent, f"--resume '{self.resume}'")
+
+    def write(self, study: Study) -> Table:
+        """Print the table of a study and write what was asked for."""
+        table = study.table()
+        if self.layout_format == "json":
+            typer.echo(table.to_json(), nl=False)
+        else:
+            printed = {"md": table.to_markdown, "csv": table.to_csv, "latex": table.to_latex}[self.layout_format]
+            typer.echo(printed(layout=self.layout), nl=False)
+        if self.out is not None:
+            getattr(table, OUTPUTS[Path(self.out).suffix.lower()])(self.out)
+        if self.report is not None:
+            from featreg.experiments.report_data import write_study_report
+
+            write_study_report(self.report, study)
+        return table
 
 
-def run(
-    experiment: Experiment,
-    *,
-    workers: int,
-    isolate: bool,
-    resume: str | None,
-    layout_format: str,
-    layout: str | None,
-    out: str | None,
-    report: str | None,
-    save: str | None,
-    text: str,
-) -> Table:
-    """Run an experiment, print its table and write what was asked for."""
+def run(experiment: Experiment, output: Output, text: str, *, workers: int, isolate: bool) -> NoReturn:
+    """Run an experiment, print its table, write what was asked for, and leave with the exit code."""
     experiment.check()
     check_images(experiment)
-    if save is not None:
-        experiment.to_file(save)
+    if output.save is not None:
+        experiment.to_file(output.save)
     announce_compiling()
-    study = experiment.run(workers=workers, isolate=isolate, resume=resume, progress=counter(text))
-    table = study.table()
-    if layout_format == "json":
-        typer.echo(table.to_json(), nl=False)
-    else:
-        printed = {"md": table.to_markdown, "csv": table.to_csv, "latex": table.to_latex}[layout_format]
-        typer.echo(printed(layout=layout), nl=False)
-    if out is not None:
-        getattr(table, OUTPUTS[Path(out).suffix.lower()])(out)
-    if report is not None:
-        from featreg.experiments.report_data import write_study_report
-
-        write_study_report(report, study)
-    return table
+    study = experiment.run(workers=workers, isolate=isolate, resume=output.resume, progress=counter(text))
+    raise typer.Exit(4 if output.write(study).failed else 0)

@@ -86,7 +86,8 @@ def sweep(
 
     Exit code 4 means that a combination failed with an error on a pair; its row says which.
     """
-    cli_study.check_outputs(layout_format, None, out, report, save, resume)
+    output = cli_study.Output(layout_format, None, out, report, save, resume)
+    output.check()
     from featreg.experiments.experiment import Experiment
     from featreg.experiments.protocol import Protocol
 
@@ -113,19 +114,7 @@ def sweep(
         ),
         metrics=cli_study.metrics_of(metrics, None),
     )
-    table = cli_study.run(
-        found,
-        workers=workers,
-        isolate=isolate,
-        resume=resume,
-        layout_format=layout_format,
-        layout=None,
-        out=out,
-        report=report,
-        save=save,
-        text="sweeping",
-    )
-    raise typer.Exit(4 if table.failed else 0)
+    cli_study.run(found, output, "sweeping", workers=workers, isolate=isolate)
 
 
 def parse_grid(given: list[str]) -> dict[str, list[Any]]:

@@ -6,7 +6,6 @@ is ``ifft(fft(image) * exp(-1j * phase))``.
 
 from __future__ import annotations
 
-import logging
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -37,10 +36,11 @@ METHODS = ("auto", "mea", "pmea", "mca", "pga", "legendre")
 FRACTIONS = {"mea": 0.1, "pmea": 0.1, "mca": 0.1, "pga": 1.0, "legendre": 1.0}
 #: `auto` begins with this share, but no less than so many cells, and stops at so many samples.
 FIRST, FEWEST, MOST_SAMPLES = 0.1, 64, 1 << 22
-#: Range cells and groups of neighbouring ones below which nothing can be held out.
-LEAST_CELLS, LEAST_GROUPS = 4, 2
+#: Range cells below which nothing can be held out.
+LEAST_CELLS = 4
 
-logger = logging.getLogger(__name__)
+#: Fall of the image's entropy, nats, from which held-out cells must become sharper too.
+CLAIM = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,11 +149,12 @@ def focus(
 
     Notes
     -----
-    M. Gao et al.'s minimum-entropy autofocus on Prewitt feature points, "PMEA" (Eq. 1 to 9), and the methods that it is
-    compared with. Departures: range cells are brought to equal energy (see `normalize`); minimum entropy begins with
-    eight steps of maximum contrast; feature points are counted in the image as minimum entropy on its strongest cells
-    focuses it, so that the choice of cells hardly depends on the blur. ``normalize=False`` weights and counts as the
-    paper does. "auto" begins with a polynomial, frees the phase of every pulse, and takes more cells while halves of the cells disagree.
+    Minimum-entropy autofocus on Prewitt feature points, PMEA (equations are numbered as in its paper), and the methods
+    that it is compared with. Departures: range cells are brought to equal energy (see `normalize`); minimum entropy
+    begins with eight steps of maximum contrast; feature points are counted in the image as minimum entropy on its
+    strongest cells focuses it, so that the choice of cells hardly depends on the blur. ``normalize=False`` weights and
+    counts as the paper does. "auto" begins with a polynomial, frees the phase of every pulse, and takes all cells where
+    the halves of the strongest disagree.
 
     Entropy alone is no evidence: a wrong phase may lower it. "ok" needs that the two halves of the range cells find the
     same phase, that the phase does not move when minimum entropy goes on from it, and that either half's phase sharpens
@@ -279,24 +280,25 @@ def _counts(pixels: NDArray[Any], cells: int, settings: _Settings) -> IntArray:
 
 
 def _gates(cells: int, verdict: autofocus.Check, entropy: tuple[float, float]) -> dict[str, Gate]:
-    enough = cells >= LEAST_CELLS and np.isfinite(verdict.halves)
+    enough = bool(cells >= LEAST_CELLS and np.isfinite(verdict.halves))
     deviation = verdict.deviation if enough else None
     half, unsettled, gain = (v if enough else None for v in (verdict.halves / 2, verdict.unsettled, verdict.gain))
     limit = autofocus.LIMIT
     rise = entropy[1] - entropy[0]
-    gates = {
+    # Where the image was sharp before, a half's phase has nothing to sharpen, and its noise blurs the other half.
+    claimed = rise < -CLAIM
+    return {
         "cells": Gate(float(cells), enough, LEAST_CELLS, None, "range cells, of two places in range at least"),
-        "deviation": Gate(deviation, enough and verdict.deviation <= limit, None, limit,
+        "deviation": Gate(deviation, enough and bool(verdict.deviation <= limit), None, limit,
                           "expected error of the phase, radians RMS"),
         "held out": Gate(half, enough and verdict.halves / 2 <= limit, None, limit,
                          "half the difference of the phases of two halves of the range cells, radians RMS"),
         "settled": Gate(unsettled, enough and verdict.unsettled <= limit, None, limit,
                         "how far the phase moves when minimum entropy goes on from it, radians RMS"),
-        "sharpness": Gate(gain, enough and verdict.gain >= -0.01, -0.01, None,
+        "sharpness": Gate(gain, enough and bool(verdict.gain > 0 or not claimed), 0.0 if claimed else None, None,
                           "entropy by which one half's phase sharpens the other half, nats"),
         "entropy": Gate(float(rise), rise <= 0.01, None, 0.01, "rise of the image's entropy, nats"),
     }  # fmt: skip
-    return gates
 
 
 def _reason(gates: Mapping[str, Gate]) -> str:
@@ -367,7 +369,7 @@ def _samples(image: ImageLike) -> tuple[NDArray[Any], BoolArray | None, str]:
         raise InputError(f"cannot focus {type(image).__name__}; give a path, a 2-D complex array or a featreg Image")
     array = np.asarray(image)
     if array.dtype.kind != "c":
-        raise InputError(f"array: holds {array.dtype} samples; autofocus needs a complex image, real ones lost the phase")
+        raise InputError(f"array: holds {array.dtype} samples, whose phase is lost; autofocus needs a complex image")
     if array.ndim != 2 or min(array.shape) < SMALLEST:
         raise InputError(f"array: has shape {array.shape}, (H, W) of at least {SMALLEST} x {SMALLEST} is needed")
     if not isinstance(image, np.ma.MaskedArray) and all(np.isfinite(row.sum()) for row in array):

@@ -156,7 +156,8 @@ class KorniaPart:
         """Return what kornia offers for these parameters, with its weights, on its device."""
         kept = {k: v for k, v in self.parameters.items() if k not in ("n_features", "normalise", "threads")}
         stamps = tuple(_stamp(kept[key]) for key in ("weights", "descriptor_weights") if kept.get(key))
-        return _network(type(self), self.name, tuple(sorted(kept.items())), stamps)
+        owner: Any = type(self)
+        return _network(owner, self.name, tuple(sorted(kept.items())), stamps)
 
 
 @lru_cache(maxsize=8)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any, NoReturn
 
 import numpy as np
+from numpy.typing import NDArray
 
 from featreg.errors import InputError
 from featreg.interfaces import Model
@@ -104,7 +105,7 @@ def _centres(nodes: FloatArray) -> FloatArray:
     return np.asarray(nodes[:-1, :-1] + nodes[1:, :-1] + nodes[:-1, 1:] + nodes[1:, 1:]) / 4
 
 
-def _mapped(model: Mapping, rows: FloatArray, cols: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _mapped(model: Mapping, rows: NDArray[Any], cols: NDArray[Any]) -> tuple[FloatArray, FloatArray]:
     given = np.empty((len(rows), len(cols), 2))
     given[..., 0], given[..., 1] = cols, rows[:, None]
     flat = given.reshape(-1, 2)

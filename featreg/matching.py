@@ -3,21 +3,31 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from featreg.assembly import DEFAULT_METHOD, assemble
 from featreg.errors import InputError, ParameterError
+from featreg.focused_inputs import Focus, focused_inputs
 from featreg.geometry import as_model
 from featreg.interfaces import Matcher, Model
 from featreg.io import ImageLike, as_image
 from featreg.masks import MaskLike
 from featreg.pipeline import Pipeline
+from featreg.raster_source import open_source, pixel_count
+from featreg.tie_points import read_tie_points
 from featreg.timing import collecting, stage
 from featreg.types import Image, Matches, Registration
+
+#: Images of more pixels are worked on in blocks of so many pixels a side.
+MOST_PIXELS = 4_000_000
+BLOCK = 600
+#: Ways of working that only blocks have.
+BLOCK_ONLY = ("executor", "dem", "height", "resume")
 
 logger = logging.getLogger(__name__)
 
@@ -37,6 +47,15 @@ def match(
     secondary_mask: MaskLike | None = None,
     nodata: complex | None = None,
     scale: str | None = None,
+    focus: Focus | None = None,
+    block: int | bool | None = None,
+    executor: Any = None,
+    workers: int | None = None,
+    dem: str | Path | None = None,
+    height: float | None = None,
+    resume: str | Path | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    cancel: Any = None,
     **keywords: Any,
 ) -> Registration:
     """Register two SAR images.
@@ -53,6 +72,19 @@ def match(
     reference_mask, secondary_mask : pixels that are data: arrays, mask files or polygons
     nodata : value of samples that are not data
     scale : "amplitude", "intensity" or "db", what real samples are
+    focus : autofocus of complex images first: a method of `featreg.focus`, or a function from an `Image` to its result,
+        which may know the azimuth axis or a carrier; an image whose focus is not trusted stays as it is
+    block : side in pixels of the blocks in which to work, False for the whole images at once; None works in blocks of
+        600 where an image has more than 4 million pixels or one of the following is given (see docs/scenes.md). Then
+        `n_features` is the budget of a block (default 1000)
+    executor, workers : what runs the blocks: "serial", "threads", "processes", a `concurrent.futures.Executor` or a
+        `dask.distributed.Client`; None takes `workers` processes (default: every processor) where they can be forked
+        safely, else threads. The result is the same
+    dem, height : heights of the ground for images with geolocation: an elevation model's file, or metres above the
+        ellipsoid (default 0)
+    resume : folder in which finished blocks are kept, and looked for
+    progress : called with (blocks done, blocks in all)
+    cancel : an event; when set, the work on blocks stops with a `CancelledError`
     keywords : replace a part (``detector="fast"``) or a parameter (``threshold=...``, ``**{"fsc.threshold": 2}``)
 
     Returns
@@ -65,18 +97,38 @@ def match(
     InputError, UnknownNameError, ParameterError
         An unreadable image, an unknown name, an unknown, ambiguous or impossible parameter.
     """
-    pipeline = assemble(method, model=model, refine=refine, n_features=n_features, **keywords)
     if not isinstance(seed, int | np.integer) or seed < 0:
         raise ParameterError(f"seed must be a whole number >= 0, got {seed!r}")
     known = _initial(initial, search_radius)
+    work = {"executor": executor, "workers": workers, "dem": dem, "height": height, "resume": resume}
+    work |= {"progress": progress, "cancel": cancel}
+    size = _block_size(block, work, model, reference, secondary)
+    if size is not None:
+        if focus is not None:
+            raise ParameterError("focus works on whole images: focus large files first, with featreg.focus")
+        from featreg.scene.run import SceneOptions, assemble_scene, match_scene
+
+        sources = (
+            open_source(reference, mask=reference_mask, nodata=nodata, scale=scale),
+            open_source(secondary, mask=secondary_mask, nodata=nodata, scale=scale),
+        )
+        pipeline = assemble_scene(method, model=model, refine=refine, n_features=n_features, **keywords)
+        options = SceneOptions(size, **work)
+        return match_scene(*sources, pipeline, options, seed=int(seed), initial=known, search_radius=search_radius)
+    pipeline = assemble(method, model=model, refine=refine, n_features=n_features, **keywords)
     with collecting() as reading, stage("read"):
         first = as_image(reference, mask=reference_mask, nodata=nodata, scale=scale)
         second = as_image(secondary, mask=secondary_mask, nodata=nodata, scale=scale)
+    focusing: dict[str, Any] = {}
+    if focus is not None:
+        with collecting() as seconds, stage("focus"):
+            first, second, focusing["focus"] = focused_inputs(first, second, focus)
+        reading |= seconds
     result = pipeline.run(first, second, seed=int(seed), initial=known, search_radius=search_radius)
     return replace(
         result,
         timings={**reading, **result.timings},
-        provenance={**result.provenance, "inputs": inputs_of(first, second)},
+        provenance={**result.provenance, "inputs": inputs_of(first, second), **focusing},
     )
 
 
@@ -94,7 +146,8 @@ def fit(
 
     Parameters
     ----------
-    points : `Matches`, or an (M, 4) array of reference x, y, secondary x, y in pixels
+    points : `Matches`, an (M, 4) array of reference x, y, secondary x, y in pixels, or a file of tie points
+        (`featreg.read_tie_points`)
     model, filters, seed, keywords : as in `match`
     reference_shape, secondary_shape : (H, W); without them the images are taken to end at the outermost tie points
 
@@ -130,6 +183,24 @@ def inputs_of(reference: Image, secondary: Image) -> dict[str, Any]:
     }
 
 
+def _block_size(
+    block: int | bool | None, work: Mapping[str, Any], model: Any, reference: ImageLike, secondary: ImageLike
+) -> int | None:
+    """Side of the blocks in which to work, or None for the whole images at once."""
+    asked = [name for name in BLOCK_ONLY if work[name] is not None]
+    asked += ["model='rpc-bias'"] if model == "rpc-bias" else []
+    if block is False:
+        if asked:
+            raise ParameterError(f"block=False works on the whole images, {', '.join(asked)} is for blocks")
+        return None
+    if block is None or block is True:
+        large = block or asked or max(pixel_count(reference), pixel_count(secondary)) > MOST_PIXELS
+        return BLOCK if large else None
+    if not isinstance(block, int | np.integer):
+        raise ParameterError(f"block must be a whole number of pixels or False, got {block!r}")
+    return int(block)
+
+
 class _NoMatcher(Matcher):
     """Stands for the user, who brings the tie points."""
 
@@ -152,6 +223,8 @@ def _initial(initial: Any, search_radius: float | None) -> Model | None:
 
 
 def _as_matches(points: Any) -> Matches:
+    if isinstance(points, str | Path):
+        return read_tie_points(points)
     try:
         array = np.asarray(points, np.float64)
     except (TypeError, ValueError) as error:

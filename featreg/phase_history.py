@@ -251,6 +251,8 @@ def read_phase_history(
     """
     if polarisation is not None and polarisation not in POLARISATIONS:
         raise ParameterError(f"polarisation must be one of {', '.join(POLARISATIONS)}, got {polarisation!r}")
+    if azimuth is not None and np.shape(azimuth) != (2,):
+        raise ParameterError(f"azimuth must be two numbers in degrees, got {azimuth!r}")
     files = _files(paths, polarisation)
     parts = []
     for path in files:
@@ -268,13 +270,19 @@ def read_phase_history(
 
 
 def _files(paths: str | Path | Iterable[str | Path], polarisation: str | None) -> list[Path]:
-    given = [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
+    try:
+        given = [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
+    except TypeError as error:
+        raise InputError(f"the paths of phase-history files are needed, got {paths!r}") from error
     files = [file for path in given for file in (sorted(path.glob("*.mat")) if path.is_dir() else [path])]
     if polarisation is not None:
         files = [file for file in files if _polarisation_of(file) in ("", polarisation)]
     if not files:
         wanted = "phase history" if polarisation is None else f"{polarisation} phase history"
         raise InputError(f"{', '.join(map(str, given)) or 'no path'}: no file of {wanted} there")
+    twice = {str(file) for file in files if files.count(file) > 1}
+    if twice:
+        raise InputError(f"{', '.join(sorted(twice))}: given twice, its pulses would count twice")
     for file in files:
         if not file.is_file():
             raise InputError(f"{file}: no such file; give the path of an existing phase history")

@@ -80,13 +80,25 @@ def resized(amplitude: NDArray[np.float32], mask: BoolArray, factor: float) -> t
 
 def _stretched(amplitude: NDArray[np.float32], mask: BoolArray, within: BoolArray | None = None) -> Gray:
     """Logarithmic stretch over the valid pixels, by the percentiles of those in `within`."""
-    wanted = (mask if within is None else mask & within) & (amplitude > 0)
+    return tone(amplitude, mask, tone_limits(amplitude, mask if within is None else mask & within))
+
+
+def tone_limits(amplitude: NDArray[np.float32], within: BoolArray) -> tuple[float, float] | None:
+    """The amplitudes that are shown black and white, by the percentiles of those in `within`; None where all are 0."""
     step = max(1, max(amplitude.shape) // 4096)  # percentiles of a large image need not see every pixel
-    seen = amplitude[::step, ::step][wanted[::step, ::step]]
+    seen = amplitude[::step, ::step]
+    seen = seen[within[::step, ::step] & (seen > 0)]
     if seen.size == 0:
-        return np.where(mask, 0, INVALID).astype(np.uint8)
+        return None
     low, high = np.percentile(seen, [1, 99.5])
-    low = max(low, high / SPAN)
+    return max(low, high / SPAN), high
+
+
+def tone(amplitude: NDArray[np.float32], mask: BoolArray, limits: tuple[float, float] | None) -> Gray:
+    """(H, W) uint8, logarithmic between the limits; `INVALID` where there is no data."""
+    if limits is None:
+        return np.where(mask, 0, INVALID).astype(np.uint8)
+    low, high = limits
     level = np.log(np.maximum(amplitude, low) / low) / max(np.log(high / low), 1e-3)
     return np.where(mask, np.clip(255 * level, 0, 255).round(), INVALID).astype(np.uint8)
 

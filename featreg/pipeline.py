@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from featreg.errors import ParameterError
+from featreg.geometry import inverse_variances
 from featreg.interfaces import FailedFit, Filter, FilterContext, Matcher, Model
 from featreg.refine import Refine, Refined
 from featreg.robust import irls
@@ -52,7 +53,8 @@ class Pipeline:
     refine : the refinement, or None
     limits : what a trusted result must reach
     n_features : most final tie points
-    robust : whether the fit to what the filters kept is iteratively reweighted, or plain least squares
+    robust : whether the fit to what the filters kept is iteratively reweighted, from the inverse variances of the tie
+        points where these are known, or plain least squares
     name : of the method, for the record
     parameters : every parameter, for the record
     """
@@ -200,7 +202,8 @@ class Pipeline:
         here, there = matches.reference_xy[kept], matches.secondary_xy[kept]
         model: Model | FailedFit
         if self.robust:
-            model, weights = irls(self.model, here, there, scale_px=SCALE_PX, iterations=ROUNDS)
+            known = None if matches.covariance is None else inverse_variances(matches.covariance[kept])
+            model, weights = irls(self.model, here, there, weights=known, scale_px=SCALE_PX, iterations=ROUNDS)
         else:
             model, weights = self.model.from_estimate(here, there), np.ones(len(here))
         inliers = np.zeros(len(matches), np.bool_)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import importlib
 import inspect
 import io
 import sys
@@ -17,22 +16,26 @@ from typing import Any
 import numpy as np
 
 from featreg._version import __version__
-from featreg.errors import InputError
+from featreg.errors import FeatregError, InputError
 from featreg.interfaces import Model
-from featreg.registry import KINDS, ROOMS, entries
+from featreg.registry import KINDS, entries
 from featreg.result_file import read_registration, write_atomic, write_registration
 from featreg.types import FloatArray, Registration
 
 #: Beginnings of the modules that only look at results: a new metric matches nothing again.
 AFTERWARDS = ("cli", "comparison", "demo", "doctor", "evaluation", "experiments", "exports", "marking", "picture",
               "prediction_cache", "report", "table", "truth")  # fmt: skip
+#: Keywords of a job that are not those of its pipeline.
+NOT_OF_PIPELINE = (
+    "seed", "initial", "search_radius", "reference_mask", "secondary_mask", "nodata", "scale", "mask", "only",
+)  # fmt: skip
 
 
 class PredictionCache:
     """Results in a folder, each under the digest of everything that went into it: never of another protocol.
 
-    Part of every digest is the source of this package and of the plugins from elsewhere, so that who works on a method
-    never meets what an older version of it gave.
+    Part of every digest is the source of this package's core and of the plugins that the method uses, so that who works
+    on a plugin never meets what an older version of it gave, and keeps what other methods gave.
     """
 
     def __init__(self, folder: Path | None) -> None:
@@ -49,7 +52,7 @@ class PredictionCache:
         try:
             if name not in self.images:
                 self.images[name] = _digest(list(images))
-            return _digest([f"featreg {__version__}", _code(), self.images[name], keywords]).hex()
+            return _digest([f"featreg {__version__}", _code(keywords), self.images[name], keywords]).hex()
         except (TypeError, ValueError, AttributeError, OSError, RecursionError):
             return None
 
@@ -99,22 +102,39 @@ class PredictionCache:
         write_atomic(self.folder / f"{key}.npz", out.getvalue())
 
 
+def _code(keywords: Mapping[str, Any]) -> list[bytes]:
+    """Digests of the code that decides a result: the core, and the plugins that the method uses."""
+    return [_core(), *(_file(module) for module in sorted(_modules(keywords)))]
+
+
+def _modules(keywords: Mapping[str, Any]) -> set[str]:
+    """The modules of the plugins of a method; those of all plugins where the method cannot be built."""
+    from featreg.assembly import assemble
+    from featreg.feature_matcher import FeatureMatcher
+
+    try:
+        pipeline = assemble(**{key: value for key, value in keywords.items() if key not in NOT_OF_PIPELINE})
+    except (FeatregError, TypeError):
+        return {found.module for kind in KINDS for found in entries(kind)}
+    parts: list[Any] = [pipeline.matcher, *(keeper for _, keeper in pipeline.filters)]
+    if isinstance(pipeline.matcher, FeatureMatcher):
+        parts += [pipeline.matcher.detector, pipeline.matcher.descriptor, pipeline.matcher.nearest]
+    return {type(part).__module__ for part in parts if part is not None} | {pipeline.model.__module__}
+
+
 @lru_cache(maxsize=1)
-def _code() -> bytes:
-    """Digest of the modules that may decide a result: this package's and those of plugins from elsewhere."""
+def _core() -> bytes:
+    """Digest of the modules of this package that may decide a result."""
     package = Path(__file__).parent
-    folders = [package, *(Path(p) for room in ROOMS for p in importlib.import_module(room).__path__)]
-    files = {path for folder in folders for path in folder.rglob("*.py")}
-    files -= {path for path in package.rglob("*.py") if path.relative_to(package).parts[0].startswith(AFTERWARDS)}
-    for kind in KINDS:
-        for found in entries(kind):
-            source = getattr(sys.modules.get(found.module), "__file__", None)
-            if source:
-                files.add(Path(source))
-    digest = hashlib.sha256()
-    for path in sorted(files):
-        digest.update(path.name.encode() + b"\0" + path.read_bytes())
-    return digest.digest()
+    files = {path for path in package.rglob("*.py") if not path.relative_to(package).parts[0].startswith(AFTERWARDS)}
+    return _digest([[path.relative_to(package).as_posix(), path.read_bytes()] for path in sorted(files)])
+
+
+@lru_cache
+def _file(module: str) -> bytes:
+    """Digest of the source of a loaded module; of its name where it has no file."""
+    source = getattr(sys.modules.get(module), "__file__", None)
+    return hashlib.sha256(module.encode() + (Path(source).read_bytes() if source else b"")).digest()
 
 
 def _digest(value: Any) -> bytes:

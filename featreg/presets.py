@@ -21,7 +21,8 @@ class Preset:
 
     `filters` run in order; `refine` says whether refinement is on unless asked otherwise; `common_rotation` is that of
     `FeatureMatcher`; `model` is fitted unless another is asked for (None: the package's default); `robust` is that of
-    `Pipeline`; `trust` holds limits that differ from the defaults of `featreg.trust.Limits`.
+    `Pipeline`; `trust` and `refinement` hold what differs from the defaults of `featreg.trust.Limits` and
+    `featreg.refine.Refine`.
     """
 
     summary: str
@@ -35,6 +36,7 @@ class Preset:
     model: str | None = None
     robust: bool = True
     trust: Mapping[str, Any] = field(default_factory=dict)
+    refinement: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def parts(self) -> tuple[tuple[str, Part], ...]:
@@ -95,9 +97,19 @@ def _opencv(name: str, *, ratio: float = 1.0) -> Preset:
 # Peaks are sought within a patch, so that chance agrees more easily than over the whole image, to which the gate holds
 # it; true pairs of real apertures reach -25 to -240 and 0.04 to 0.1 px, wrong ones -21 and 0.8 px at best. Patches
 # overlap, so the true uncertainty is larger than the one computed, most where only part of the scene agrees.
-_TARGETS_TRUST = {"least_inliers": 8, "significance": -20.0, "uncertainty_px": 0.15}
+# A defocused secondary is stretched by 0.3 to 1 %, true pairs of real apertures by 0.15 % at most (0.3 % where they
+# are half as long); with a dilution above 1 the tie points huddle in a quarter of the scene. `benchmarks/rotation.py`.
+_RIGID_TRUST = {"uncertainty_px": 0.15, "distortion": 0.003, "dilution": 1.0}
+_TARGETS_TRUST = {**_RIGID_TRUST, "least_inliers": 8, "significance": -20.0}
+# Centroids are associated over the whole image, so that chance has all of it.
+_CENTROIDS_TRUST = {**_TARGETS_TRUST, "significance": -12.0}
+# The letter's threshold leaves few tie points, and a single pass pulls the rotation towards 0: results whose own error
+# is above this were wrong by 0.25 to 1.2 degrees.
+_PAPER_TRUST = {"least_inliers": 8, "uncertainty_px": 0.3, "dilution": 1.0}
 # The first fit is to a consensus, so that half of the tie points may be wrong.
 _FROM_CONSENSUS = Part("mad", {"start": "consensus"})
+# Between the targets there is speckle, of which neighbouring apertures share nothing: few windows correlate.
+_FEW_WINDOWS = {"least_share": 0.05}
 
 
 def _targets(tie_points: str, summary: str, *, refine: bool) -> Preset:
@@ -108,7 +120,8 @@ def _targets(tie_points: str, summary: str, *, refine: bool) -> Preset:
         filters=(_FROM_CONSENSUS,),
         refine=refine,
         model="rigid",
-        trust=_TARGETS_TRUST,
+        trust=_CENTROIDS_TRUST if tie_points == "c" else _TARGETS_TRUST,
+        refinement=_FEW_WINDOWS,
     )
 
 
@@ -121,6 +134,7 @@ def _paper_obcls(matcher: Part, summary: str, *, cancellation: bool = True) -> P
         refine=False,
         model="rigid",
         robust=False,
+        trust=_PAPER_TRUST,
     )
 
 
@@ -219,6 +233,13 @@ PRESETS: Mapping[str, Preset] = {
         descriptor=Part("max-index-map"),
         nearest=Part("brute-force"),
     ),
+    "optical-sar": Preset(
+        "RIFT's features at several ratios of the scales, for an optical and a SAR image at any rotation, FSC",
+        matcher=Part("scale-search"),
+        filters=(Part("fsc"),),
+        refine=False,
+        model="similarity",
+    ),
     "rift-paper": Preset(
         "RIFT as in Li, Hu and Ai 2020, made rotation invariant as in RIFT2",
         detector=Part("phase-congruency", {**_PAPER_CONGRUENCY, "subpixel": "none"}),
@@ -240,6 +261,8 @@ PRESETS: Mapping[str, Preset] = {
         matcher=Part("patch-grid"),
         filters=(_FROM_CONSENSUS,),
         model="rigid",
+        trust=_RIGID_TRUST,
+        refinement=_FEW_WINDOWS,
     ),
     "c-obcls-paper": _paper_obcls(
         Part("target-centroids", {**_PAPER_TARGETS, "tie_points": "c"}), "C-OBCLS as in Pallotta et al."

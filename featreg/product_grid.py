@@ -83,7 +83,7 @@ def reference_grid(registration: Registration, like: str | Path | tuple[int, int
     if isinstance(like, tuple):
         return Grid((int(like[0]), int(like[1])), None, None, IDENTITY)
     if like is not None:
-        source = RasterSource(str(like))
+        source = RasterSource(str(like), band=1)
         same = IDENTITY if size is None else _same_footprint(str(like), source.shape, "reference", size)
         return Grid(source.shape, source.geolocation, str(like), _inverse_scale(same))
     if size is None:
@@ -91,7 +91,7 @@ def reference_grid(registration: Registration, like: str | Path | tuple[int, int
     path = known.get("path")
     if isinstance(path, str) and Path(path).is_file():
         try:
-            source = RasterSource(path)
+            source = RasterSource(path, band=1)
             if source.shape == size:
                 return Grid(size, source.geolocation, path, IDENTITY)
             logger.warning("%s is not the reference any more: %s, it was %s", path, _size(source.shape), _size(size))
@@ -100,13 +100,15 @@ def reference_grid(registration: Registration, like: str | Path | tuple[int, int
     return Grid(size, None, None, IDENTITY)
 
 
-def grid_model(registration: Registration, grid: Grid, secondary: str, scale: tuple[float, float] | None) -> Model:
+def grid_model(
+    registration: Registration, grid: Grid, source: RasterSource, scale: tuple[float, float] | None
+) -> Model:
     """Return the model from the pixels of a grid to those of a file of the secondary's footprint.
 
     Parameters
     ----------
     registration, grid : the result, and where the output lies
-    secondary : path of the file to resample
+    source : the file to resample
     scale : its pixels per pixel of the matched secondary along x and y; None tells it from both files' georeferencing
         where that is at hand, else from the sizes
 
@@ -117,7 +119,7 @@ def grid_model(registration: Registration, grid: Grid, secondary: str, scale: tu
     """
     model = model_of(registration)
     known = recorded(registration, "secondary")
-    size, source = size_of(known), RasterSource(secondary)
+    size, secondary = size_of(known), source.path
     if scale is not None:
         if not all(np.isfinite(s) and s > 0 for s in scale):
             raise ParameterError(f"the secondary's scale must be > 0, got {scale}")
@@ -140,7 +142,7 @@ def _by_georeferencing(matched: Any, size: tuple[int, int] | None, source: Raste
     if not isinstance(matched, str) or not Path(matched).is_file() or Path(matched).samefile(source.path):
         return None
     try:
-        old = RasterSource(matched)
+        old = RasterSource(matched, band=1)
         first, second = old.geolocation, source.geolocation
         if old.shape != size:
             return None
@@ -150,13 +152,15 @@ def _by_georeferencing(matched: Any, size: tuple[int, int] | None, source: Raste
         return None
     if first.crs != second.crs:
         return None
-    from rasterio.transform import Affine
-
     # Geotransforms count from the corner of the first pixel, we from its centre.
-    moved = Affine.translation(-0.5, -0.5) * ~Affine(*second.transform) * Affine(*first.transform)
-    a, b, c, d, e, f = tuple(moved * Affine.translation(0.5, 0.5))[:6]
-    affine = np.array([[a, b, c], [d, e, f]])
+    to_corner = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
+    old_map, new_map = (_homogeneous(t) for t in (first.transform, second.transform))
+    affine = (np.linalg.inv(to_corner) @ np.linalg.inv(new_map) @ old_map @ to_corner)[:2]
     return IDENTITY if np.abs(affine - IDENTITY).max() < 1e-6 else affine
+
+
+def _homogeneous(transform: tuple[float, ...]) -> FloatArray:
+    return np.array([transform[:3], transform[3:], (0.0, 0.0, 1.0)])
 
 
 def _same_footprint(name: str, shape: tuple[int, int], role: str, size: tuple[int, int]) -> FloatArray:

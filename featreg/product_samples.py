@@ -64,9 +64,9 @@ def encoding_of(source: RasterSource) -> Encoding:
     """Return how a product of this source is to be written."""
     gain, offset, own = 1.0, 0.0, None
     with gdal_dataset(source.path) as dataset:
-        if dataset is not None and source.band <= dataset.count:
-            own = dataset.nodatavals[source.band - 1]
-            gain, offset = dataset.scales[source.band - 1], dataset.offsets[source.band - 1]
+        if dataset is not None:
+            band = max(source.band, 1) - 1
+            own, gain, offset = dataset.nodatavals[band], dataset.scales[band], dataset.offsets[band]
     if source.is_complex:
         return Encoding("complex64", None, "complex")
     given = source.nodata if source.nodata is not None else own

@@ -83,7 +83,8 @@ def focus_blocks(
     reason = ""
     if not gates["blocks"].passed:
         reasons = [result.reason for result in found if result is not None and result.reason]
-        reason = f"only {len(trusted)} of {count} range blocks have a trusted phase; {reasons[0] if reasons else 'empty'}"
+        first = reasons[0] if reasons else "they are empty"
+        reason = f"only {len(trusted)} of {count} range blocks have a trusted phase; {first}"
     elif not gates["entropy"].passed:
         reason = f"the entropy of the image rose: {after - before:.2f}"
     cells = [result.cells + edges[i] for i, result in zip(used, results, strict=True) if result is not None]

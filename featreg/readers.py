@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import InputError, suggest
+from featreg.sicd import is_sicd, read_sicd
 from featreg.types import BoolArray, Geolocation
 
 MAGIC = {
@@ -28,6 +29,8 @@ MAGIC = {
     b"\x89PNG": "PNG",
     b"\xff\xd8\xff": "JPEG",
     b"BM": "BMP",
+    b"NITF": "NITF",
+    b"NSIF": "NITF",
 }
 # GDAL's fast path for whole 8-bit PNGs returns garbage, without an error, for a truncated file (3.10); a broken JPEG
 # is only a warning to it unless told otherwise.
@@ -63,7 +66,7 @@ class Raster:
 
 
 def read_raster(source: str | Path) -> Raster:
-    """Read one image file: GeoTIFF, PNG, JPEG, BMP, NPY, or ``file.mat:variable``.
+    """Read one image file: GeoTIFF, NITF, SICD, PNG, JPEG, BMP, NPY, or ``file.mat:variable``.
 
     Raises
     ------
@@ -144,7 +147,8 @@ def gdal_dataset(source: str | Path) -> Iterator[Any]:
         The file is missing, empty, broken or not what its name says.
     """
     path, _ = _split_variable(source)
-    if READERS.get(path.suffix.lower(), _read_gdal) is not _read_gdal:
+    reader = READERS.get(path.suffix.lower())
+    if reader not in (_read_gdal, _read_nitf) or (reader is _read_nitf and _holds_sicd(path)):
         yield None
         return
     driver = _gdal_driver(path, _head(path))
@@ -159,7 +163,7 @@ def gdal_dataset(source: str | Path) -> Iterator[Any]:
 def _gdal_driver(path: Path, head: bytes) -> str:
     driver = next((name for magic, name in MAGIC.items() if head.startswith(magic)), None)
     if driver is None:
-        raise InputError(f"{path}: the content is not a TIFF, PNG, JPEG or BMP image in spite of its name")
+        raise InputError(f"{path}: the content is not a TIFF, NITF, PNG, JPEG or BMP image in spite of its name")
     return driver
 
 
@@ -175,6 +179,19 @@ def _read_gdal(path: Path, head: bytes, variable: str | None) -> Raster:
         rasterio.open(path.absolute(), driver=driver) as dataset,
     ):
         return _read_dataset(path, dataset)
+
+
+def _holds_sicd(path: Path) -> bool:
+    _head(path)  # says what is wrong with the file before its end is looked at
+    return is_sicd(path)
+
+
+def _read_nitf(path: Path, head: bytes, variable: str | None) -> Raster:
+    if not is_sicd(path):
+        return _read_gdal(path, head, variable)
+    with _decoding(path, "SICD"):
+        samples, geolocation = read_sicd(path)
+    return Raster(samples, samples.dtype.name, geolocation=geolocation)
 
 
 def _gray(path: Path, colours: NDArray[Any], driver: str) -> NDArray[Any]:
@@ -297,6 +314,7 @@ def _read_mat(path: Path, head: bytes, variable: str | None) -> Raster:
 
 READERS: dict[str, Callable[[Path, bytes, str | None], Raster]] = {
     **dict.fromkeys((".tif", ".tiff", ".png", ".jpg", ".jpeg", ".bmp"), _read_gdal),
+    **dict.fromkeys((".ntf", ".nitf", ".nsf", ".sicd"), _read_nitf),
     ".npy": _read_npy,
     ".mat": _read_mat,
 }

@@ -163,7 +163,7 @@ def _head(registration: Registration) -> dict[str, Any]:
         "gates": plain(registration.gates),
         "seed": plain(provenance.get("seed")),
         **images,
-        "model": None if isinstance(model, FailedFit) else plain(model),
+        "model": None if isinstance(model, FailedFit) else {**plain(model), **plain(registration.standard_errors)},
         **({"model_failure": model.reason} if isinstance(model, FailedFit) else {}),
         "counts": {
             "putative": int(registration.putative.sum()),
@@ -193,6 +193,11 @@ def _masks(registration: Registration, stage: IntArray) -> dict[str, str]:
         for k, (name, mask) in enumerate(registration.stages.items())
         if not np.array_equal(mask, stage > k)
     }
+
+
+def tie_point_columns(registration: Registration) -> dict[str, NDArray[Any]]:
+    """Return the columns (M,) of the tie-point table by name, in its order."""
+    return _columns(registration, _stage(registration))
 
 
 def _columns(registration: Registration, stage: IntArray) -> dict[str, NDArray[Any]]:

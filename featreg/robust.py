@@ -139,7 +139,7 @@ def _fit_correction(
 ) -> tuple[Any, BoolArray]:
     """Consensus of what a known map leaves to be corrected; points that it cannot map never count."""
     mapped = model_class.known(reference)
-    good = np.isfinite(mapped).all(axis=1)
+    good = np.asarray(np.isfinite(mapped).all(axis=1))
     if candidates is not None:
         chosen = np.zeros(len(good), np.bool_)
         chosen[candidates] = True

@@ -124,6 +124,8 @@ class RangeDoppler(Sensor):
         xy = (size - 1) / 2 + unit[:, :2] * size * (0.5 + BEYOND)
         level = 0.5 * (low + high) + 0.5 * (high - low) * unit[:, 2]
         ground = self.image_to_ground(xy, level)
+        # One run of longitudes also where the scene lies across the antimeridian.
+        ground[:, 0] = self.centre_lonlat[0] + wrapped(ground[:, 0] - self.centre_lonlat[0])
         frame: dict[str, float] = {}
         for name, values in (("samp", xy[:, 0]), ("line", xy[:, 1]), ("long", ground[:, 0]), ("lat", ground[:, 1])):
             frame[f"{name}_off"] = float(0.5 * (values.min() + values.max()))

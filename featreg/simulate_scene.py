@@ -164,7 +164,8 @@ def read_scene_truth(path: str | Path) -> Transfer:
 
 @dataclass(frozen=True)
 class _Plane:
-    """Ground pixels (u, v) of `pixel` metres, v along the reference's flight, u to its right."""
+    """Ground pixels (u, v) of `pixel` metres, v along the reference's flight, u to its right; a block's middle is
+    the origin."""
 
     origin: tuple[float, float]
     heading: float
@@ -173,14 +174,14 @@ class _Plane:
     def of(self, lonlat: FloatArray) -> FloatArray:
         east, north = plane_metres(lonlat, self.origin).T / self.pixel
         c, s = math.cos(self.heading), math.sin(self.heading)
-        return np.column_stack([c * east - s * north, s * east + c * north])
+        return np.column_stack([c * east - s * north, s * east + c * north]) + SIDE / 2
 
     def lonlat(self, uv: FloatArray) -> FloatArray:
-        u, v = uv.T * self.pixel
+        u, v = (uv.T - SIDE / 2) * self.pixel
         c, s = math.cos(self.heading), math.sin(self.heading)
         east, north = c * u + s * v, c * v - s * u
         x = east / (METRES_PER_DEGREE * math.cos(math.radians(self.origin[1])))
-        return np.column_stack([x, north / METRES_PER_DEGREE]) + np.array(self.origin)
+        return np.asarray(np.column_stack([x, north / METRES_PER_DEGREE]) + np.array(self.origin))
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +198,7 @@ class _View:
 
     def image(self, uv: FloatArray) -> FloatArray:
         lonlat = self.plane.lonlat(uv)
-        return self.sensor.ground_to_image(lonlat, self.heights.at(lonlat)) + np.array(self.bias)
+        return np.asarray(self.sensor.ground_to_image(lonlat, self.heights.at(lonlat)) + np.array(self.bias))
 
 
 def _check(shape: tuple[int, int], relief: float, change: float, numbers: tuple[float, ...]) -> None:
@@ -266,10 +267,7 @@ def _rendered(
     # The same power from less ground: slopes that face the radar are bright.
     steep = np.gradient(nodes[..., 0], STEP, axis=1)
     fields = np.dstack([nodes[..., 0] - u0, nodes[..., 1] - v0, np.clip(1.0 / np.maximum(steep, 0.1), 0.3, 4.0)])
-    at_x = np.arange(width, dtype=np.float32) / STEP + 1
-    at_y = np.arange(height, dtype=np.float32) / STEP + 1
-    grid = np.broadcast_to(at_x, (height, width)).copy(), np.broadcast_to(at_y[:, None], (height, width)).copy()
-    u, v, bright = cv2.split(_between(fields, *grid))
+    u, v, bright = cv2.split(_between(fields, np.arange(width) / STEP + 1, np.arange(height) / STEP + 1))
     canvas = ground.canvas(u0, v0, across, down)
     backscatter = cv2.remap(canvas, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) * bright
     places, amplitude = ground.targets(u0 - RADIUS, v0 - RADIUS, across + 2 * RADIUS, down + 2 * RADIUS)
@@ -278,10 +276,10 @@ def _rendered(
     return np.asarray(np.clip(np.rint(GAIN * np.sqrt(intensity)), 1, 65535), np.uint16)
 
 
-def _between(fields: FloatArray, x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Bilinear values of the (R, C, K) node values at (h, w) node coordinates, in float64 until the end."""
-    i, j = np.floor(x[0]).astype(int), np.floor(y[:, 0]).astype(int)
-    s, t = (x[0] - i)[None, :, None], (y[:, 0] - j)[:, None, None]
+def _between(fields: FloatArray, x: FloatArray, y: FloatArray) -> NDArray[np.float32]:
+    """(h, w, K) bilinear values of (R, C, K) node values at node coordinates (w,) and (h,)."""
+    i, j = np.floor(x).astype(int), np.floor(y).astype(int)
+    s, t = (x - i)[None, :, None], (y - j)[:, None, None]
     rows = fields[j] * (1 - t) + fields[j + 1] * t
     return np.asarray(rows[:, i] * (1 - s) + rows[:, i + 1] * s, np.float32)
 
@@ -372,5 +370,5 @@ def _write_truth(path: Path, truth: Transfer, shape: tuple[int, int], bias: tupl
 
 
 def _view_of(values: Mapping[str, Any]) -> RangeDoppler:
-    given = {key: value for key, value in values.items() if key != "type"}
-    return RangeDoppler(**{k: tuple(v) if isinstance(v, list) else v for k, v in given.items()})
+    given: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items() if k != "type"}
+    return RangeDoppler(**given)

@@ -7,7 +7,7 @@ import io
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -260,9 +260,11 @@ class Table:
         lines += [
             _line([f"{method} minus {self.methods[0]}", *(_signed(f[n]) for n in names)]) for method, f in rest.items()
         ]
-        over = {f[n].over for f in found.values() for n in names}
-        unit = " and ".join(sorted(over))
-        return [*lines, "", f"Studentised bootstrap over the {unit}; * a difference whose interval leaves out zero."]
+        unit = " and ".join(sorted({f[n].over for f in found.values() for n in names}))
+        note = f"Studentised bootstrap over the {unit}; * a difference whose interval leaves out zero"
+        if any(f[n].missing for f in [*found.values(), *rest.values()] for n in names):
+            note += "; 'without N': N pairs have no value, and a mean that leaves them out flatters the method"
+        return [*lines, "", f"{note}."]
 
     def _values(self, method: str, metric: str) -> dict[tuple[Any, Any], float]:
         """(pair, seed) -> value, where there is one."""
@@ -277,7 +279,8 @@ class Table:
         bounds = (low - high, high - low) if difference else (low, high)
         if math.isnan(bounds[0]) or math.isnan(bounds[1]):
             bounds = (-math.inf, math.inf)
-        return interval(list(groups.values()), self.confidence, bounds=bounds)
+        found = interval(list(groups.values()), self.confidence, bounds=bounds)
+        return replace(found, missing=len({row["pair"] for row in self.rows}) - len(groups))
 
 
 def _has_truth(row: Mapping[str, Any]) -> bool:

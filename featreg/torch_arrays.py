@@ -20,7 +20,7 @@ from featreg.opencv import grey
 from featreg.types import Features, FloatArray, Image
 
 if TYPE_CHECKING:
-    import torch
+    from torch import Tensor
 
 CURE = "pip install featreg[torch]"
 DEVICES = "'cpu', 'cuda', 'cuda:1', 'mps' or 'auto'"
@@ -41,7 +41,7 @@ def import_torch() -> Any:
     return torch
 
 
-def to_tensor(image: Image, normalise: str = "auto", device: str = "cpu") -> torch.Tensor:
+def to_tensor(image: Image, normalise: str = "auto", device: str = "cpu") -> Tensor:
     """Return the picture of an image that networks are given.
 
     Parameters
@@ -56,11 +56,11 @@ def to_tensor(image: Image, normalise: str = "auto", device: str = "cpu") -> tor
     """
     torch = import_torch()
     picture = np.array(grey(image, normalise), np.float32) / np.float32(255)
-    tensor: torch.Tensor = torch.from_numpy(picture)[None, None].to(as_device(device))
+    tensor: Tensor = torch.from_numpy(picture)[None, None].to(as_device(device))
     return tensor
 
 
-def to_image(tensor: torch.Tensor, mask: NDArray[np.bool_] | None = None, name: str = "tensor") -> Image:
+def to_image(tensor: Tensor, mask: NDArray[np.bool_] | None = None, name: str = "tensor") -> Image:
     """Return a tensor as an image of linear amplitude or complex samples.
 
     Parameters
@@ -86,18 +86,18 @@ def to_image(tensor: torch.Tensor, mask: NDArray[np.bool_] | None = None, name: 
     return replace(as_image(samples.numpy(), mask=mask), name=name)
 
 
-def to_lafs(features: Features) -> torch.Tensor:
+def to_lafs(features: Features) -> Tensor:
     """Return (1, N, 2, 3) float64 LAFs of N features."""
     torch = import_torch()
     cos, sin = features.scale * np.cos(features.angle), features.scale * np.sin(features.angle)
     x, y = features.xy.T
     rows = np.array([[cos, sin, x], [-sin, cos, y]], np.float64)
-    tensor: torch.Tensor = torch.from_numpy(np.ascontiguousarray(np.moveaxis(rows, 2, 0)))[None]
+    tensor: Tensor = torch.from_numpy(np.ascontiguousarray(np.moveaxis(rows, 2, 0)))[None]
     return tensor
 
 
 def from_lafs(
-    lafs: torch.Tensor, score: ArrayLike | None = None, descriptors: NDArray[Any] | torch.Tensor | None = None
+    lafs: Tensor, score: ArrayLike | None = None, descriptors: NDArray[Any] | Tensor | None = None
 ) -> Features:
     """Return LAFs as features.
 
@@ -125,13 +125,12 @@ def from_lafs(
     table = None if descriptors is None else np.ascontiguousarray(to_numpy(descriptors, np.float32)[filled])
     frames = frames[filled]
     n = len(frames)
-    if score is not None:
-        score = to_numpy(score).reshape(-1)[filled]
+    scores = np.ones(n) if score is None else to_numpy(score).reshape(-1)[filled]
     return Features(
         xy=frames[:, :, 2],
         scale=np.sqrt(np.abs(np.linalg.det(frames[:, :, :2]))) if n else np.zeros(0),
         angle=wrapped(np.arctan2(frames[:, 0, 1], frames[:, 0, 0])),
-        score=np.ones(n) if score is None else score,
+        score=scores,
         level=np.zeros(n, np.int64),
         descriptors=table,
     )

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from featreg.errors import InputError
-from featreg.geometry import decompose, local_linear, prediction_covariance, regional_covariance
+from featreg.geometry import Affine, decompose, dilution, local_linear, prediction_covariance, regional_covariance
 from featreg.interfaces import FailedFit, Model
+from featreg.robust import irls
 from featreg.types import BoolArray, FloatArray, Gate, IntArray, Matches
 
 # Cells along the longer side of the reference in which tie points are counted once, and for the spread.
@@ -22,6 +23,8 @@ SPREAD_CELLS = 8
 DISTINCT_PX = 6.0
 # Regions along each side of the tie points' bounding box that are left out in turn.
 REGIONS = 4
+# Tie points this near to a model tell how it is distorted; their errors in px are not told apart below the second.
+NEAR_PX, AFFINE_SCALE_PX = 8.0, 0.6
 
 
 @dataclass(frozen=True)
@@ -39,6 +42,10 @@ class Limits:
     stability_px : root mean square over the image of the model's jackknife error, regions of tie points left out, at
         most
     anisotropy : largest ratio of the model's two scales
+    distortion : stretch, shear or zoom of the tie points beyond what a translation, rigid or similarity model can hold,
+        as a share of lengths, at most; inf for no such gate
+    dilution : error of the model over the image for an error of one pixel per place of tie points, at most; inf for no
+        such gate
     block_share : of a scene's blocks with content, the share that must hold a final tie point
     held_out_rmse_px : of a scene, RMSE of each half of its blocks from the model of the other, at most
     """
@@ -53,6 +60,8 @@ class Limits:
     block_share: float = 0.1
     held_out_rmse_px: float = 2.0
     stability_px: float = 1.5
+    distortion: float = math.inf
+    dilution: float = math.inf
 
 
 def assess(
@@ -124,6 +133,20 @@ def assess(
         "error of the model over the image by leaving out regions of tie points, px",
         high=limits.stability_px,
     )
+    if math.isfinite(limits.distortion) and type(model).minimum < Affine.minimum:
+        gate(
+            "distortion",
+            distortion(model, matches.reference_xy, matches.secondary_xy),
+            "stretch or shear between the images that the model cannot hold, as a share of lengths",
+            high=limits.distortion,
+        )
+    if math.isfinite(limits.dilution):
+        gate(
+            "dilution",
+            dilution_over(model, here, there, reference_shape),
+            "error of the model over the image for one pixel of error per place with tie points",
+            high=limits.dilution,
+        )
     height, width = reference_shape
     centre = np.array([[(width - 1) / 2, (height - 1) / 2]])
     linear = local_linear(model, centre)[0]
@@ -251,6 +274,30 @@ def instability(model: Model, reference_xy: FloatArray, secondary_xy: FloatArray
     except InputError:
         return 0.0
     return _overall(covariance)
+
+
+def distortion(model: Model, reference_xy: FloatArray, secondary_xy: FloatArray) -> float:
+    """Stretch, shear or zoom, as a share of lengths, of the tie points near a model that cannot hold it.
+
+    The symmetric part of what an affine model, fitted robustly to all tie points within 8 px of the model, does beyond
+    it; for a stretch by e along one axis and -e across it is e. Scenes seen out of focus or from elsewhere differ so:
+    the rigid model then fits a part of the scene only, and turns by about as much. NaN where it cannot be told.
+    """
+    near = model.residuals(reference_xy, secondary_xy) <= NEAR_PX
+    affine, _ = irls(Affine, reference_xy[near], secondary_xy[near], scale_px=AFFINE_SCALE_PX, iterations=10)
+    if isinstance(affine, FailedFit):
+        return math.nan
+    beyond = affine.matrix[:2, :2] @ np.linalg.inv(local_linear(model, reference_xy[near].mean(axis=0)))
+    strain = (beyond + beyond.T) / 2 - np.eye(2)
+    return float(np.sqrt((strain**2).sum() / 2))
+
+
+def dilution_over(model: Model, reference_xy: FloatArray, secondary_xy: FloatArray, shape: tuple[int, int]) -> float:
+    """`featreg.geometry.dilution` over a 5 x 5 grid of an image of (H, W)."""
+    try:
+        return dilution(model, reference_xy, secondary_xy, at=_grid(shape))
+    except InputError:
+        return 0.0
 
 
 def _overall(covariance: FloatArray | FailedFit) -> float:

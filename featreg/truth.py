@@ -73,7 +73,8 @@ def read_truth(truth: TruthLike, images: tuple[Any, Any] | None = None) -> Truth
         (marked in ENVI). The word "identity" stands for two images on one grid; "geolocation" for what the images
         themselves say of where they lie, over ground at 0 m, and "geolocation:HEIGHT" over ground at so many metres
         above the ellipsoid or over the elevation model of that name.
-    images : (reference, secondary) as `featreg.match` takes them; needed for "geolocation" only
+    images : (reference, secondary) as `featreg.match` takes them; needed for "geolocation", and for points that were
+        marked on a map
 
     Returns
     -------
@@ -100,7 +101,7 @@ def read_truth(truth: TruthLike, images: tuple[Any, Any] | None = None) -> Truth
     if isinstance(truth, str) and truth.partition(":")[0] == GEOLOCATION:
         return _from_geolocation(truth.partition(":")[2], images)
     if isinstance(truth, str | Path):
-        return _from_file(Path(truth))
+        return _from_file(Path(truth), None if images is None else images[0])
     return _from_array(truth, "the truth")
 
 
@@ -195,14 +196,15 @@ class _Known:
         return mapped
 
 
-def _from_file(path: Path) -> Truth:
+def _from_file(path: Path, image: Any = None) -> Truth:
+    """The truth of a file; points that QGIS marked on a map need the reference image."""
     what = f"truth '{path}'"
     readers: dict[str, Callable[[Path, str], Truth]] = {
         ".npy": lambda p, w: _from_array(np.load(p, allow_pickle=False), w),
         ".json": _from_json,
         ".txt": _from_text,
         ".csv": _from_text,
-        ".points": _from_tie_points,
+        ".points": lambda p, w: _from_tie_points(p, w, image if isinstance(image, str | Path) else None),
         ".pts": _from_tie_points,
     }
     if path.suffix.lower() not in readers:
@@ -250,10 +252,10 @@ def _from_text(path: Path, what: str) -> Truth:
     return _from_marked(np.array([[float(row[c]) for c in columns] for row in cells[1:]]).reshape(-1, 4), what)
 
 
-def _from_tie_points(path: Path, what: str) -> Truth:
-    from featreg.exports.tie_point_files import read_tie_points
+def _from_tie_points(path: Path, what: str, reference: str | Path | None = None) -> Truth:
+    from featreg.tie_points import read_tie_points
 
-    matches = read_tie_points(path)
+    matches = read_tie_points(path, reference=reference)
     return _from_marked(np.hstack([matches.reference_xy, matches.secondary_xy]), what)
 
 

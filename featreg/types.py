@@ -412,6 +412,13 @@ class Registration:
             return np.full(len(self.matches), np.nan)
         return self.model.residuals(self.matches.reference_xy, self.matches.secondary_xy)
 
+    @property
+    def standard_errors(self) -> Mapping[str, Any]:
+        """Of a rigid model: ``rotation_deg_se``, ``shift_se_px`` (x, y at the image centre), ``degrees_of_freedom``."""
+        from featreg.standard_errors import standard_errors
+
+        return standard_errors(self)
+
     def to_json(self, path: str | Path) -> None:
         """Write the result as one JSON file (beyond 20 000 tie points, these stand in a Parquet file beside it)."""
         from featreg.result_file import write_registration

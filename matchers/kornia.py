@@ -16,7 +16,7 @@ import numpy as np
 from featreg.errors import ParameterError
 from featreg.interfaces import Matcher, Nearest
 from featreg.kornia import COMMON, KorniaPart, Row, import_kornia
-from featreg.registry import register_family
+from featreg.registry import Kind, register_family
 from featreg.timing import stage
 from featreg.torch_arrays import as_device, import_torch, inference, to_lafs, to_numpy, to_tensor
 from featreg.types import BoolArray, Features, FloatArray, Image, IntArray, Matches
@@ -246,7 +246,7 @@ def _build_loftr(values: Mapping[str, Any], trained: bool = False) -> Any:
 
     from kornia.feature.loftr.loftr import default_cfg
 
-    config = copy.deepcopy(default_cfg)
+    config: Any = copy.deepcopy(default_cfg)
     config["match_coarse"]["thr"] = values["threshold"]
     config["coarse"]["temp_bug_fix"] = values["checkpoint"] == "indoor_new"
     return import_kornia().LoFTR(values["checkpoint"] if trained else None, config)
@@ -330,7 +330,11 @@ def _create_matcher(name: str, **parameters: Any) -> KorniaMatcher:
     return KorniaMatcher(name, parameters)
 
 
-for _kind, _create, _rows in (("nearest", _create_nearest, TABLE), ("matcher", _create_matcher, MATCHERS)):
+FAMILIES: tuple[tuple[Kind, Callable[..., Any], Mapping[str, Row]], ...] = (
+    ("nearest", _create_nearest, TABLE),
+    ("matcher", _create_matcher, MATCHERS),
+)
+for _kind, _create, _rows in FAMILIES:
     for _name, _row in _rows.items():
         register_family(
             _kind,

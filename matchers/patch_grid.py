@@ -11,7 +11,7 @@ from featreg.geometry import Rigid
 from featreg.interfaces import Matcher
 from featreg.registry import register
 from featreg.sar.association import Map
-from featreg.sar.patch_location import SAMPLES, PatchLocation
+from featreg.sar.patch_location import SAMPLES, PatchLocation, check_samples
 from featreg.timing import stage
 from featreg.types import FloatArray, Image, Matches
 
@@ -61,7 +61,14 @@ class PatchGrid(Matcher):
             )
 
     def match(self, reference: Image, secondary: Image) -> Matches:
-        """Return one tie point per patch that holds something, wrong ones included."""
+        """Return one tie point per patch that holds something, wrong ones included.
+
+        Raises
+        ------
+        InputError
+            "cc" of images that are not complex.
+        """
+        check_samples(self.tie_points, reference, secondary)
         shape = np.minimum(reference.shape, secondary.shape)
         size = np.minimum((self.patch, self.patch_width or self.patch), shape)
         y, x = (

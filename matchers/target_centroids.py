@@ -13,7 +13,7 @@ from featreg.interfaces import Matcher
 from featreg.registry import register
 from featreg.sar.association import Association, Map, fourier_mellin, nearest, outstanding, verified, vote
 from featreg.sar.cancellation import cancelled_fit
-from featreg.sar.patch_location import PatchLocation
+from featreg.sar.patch_location import PatchLocation, check_samples
 from featreg.sar.targets import targets
 from featreg.timing import stage
 from featreg.types import FloatArray, Image, Matches
@@ -33,8 +33,9 @@ class TargetCentroids(Matcher):
     ----------
     tie_points : where they are put: "c" (centroids), "cc" (peak of the complex correlation of patches), "rc" (peak of
         the correlation of their amplitudes)
-    association : "vote" (pairwise distances and shifts vote, any rotation), "fourier-mellin" (the spectra give rotation
-        and shift, targets the rest), "nearest" (least distance, for nearly aligned images)
+    association : "vote" (pairwise distances and shifts vote, any rotation; where they agree on nothing, as on one of 300
+        turned parking lots, the spectra are asked), "fourier-mellin" (the spectra give rotation and shift, targets the
+        rest), "nearest" (least distance, for nearly aligned images)
     passes : the secondary is aligned by what a pass found and looked at again, at most so often in all
     patch, patch_width : height and width of the patches, px; a width of 0 is that of the height
     subpixel : whether the correlation peak is interpolated
@@ -101,7 +102,14 @@ class TargetCentroids(Matcher):
         self._targets(Image(np.zeros((1, 1), np.float32), np.ones((1, 1), np.bool_)))
 
     def match(self, reference: Image, secondary: Image) -> Matches:
-        """Return one tie point per target, wrong ones included; none where the targets cannot be associated."""
+        """Return one tie point per target, wrong ones included; none where the targets cannot be associated.
+
+        Raises
+        ------
+        InputError
+            "cc" of images that are not complex.
+        """
+        check_samples(self.tie_points, reference, secondary)
         with stage("targets"):
             here, there = self._targets(reference), self._targets(secondary)
         with stage("association"):
@@ -133,17 +141,18 @@ class TargetCentroids(Matcher):
     def _associate(self, reference: Image, secondary: Image, here: FloatArray, there: FloatArray) -> Association:
         if self.association == "nearest":
             return Association(nearest(here, there))
-        shape = secondary.shape
+        shape, found = secondary.shape, Association.none()
         if self.association == "vote":
             found = vote(here, there, _fitted, shape)
-        else:
+        if found.log10_chance > self.chance and not found.ambiguous:
             ways = fourier_mellin(outstanding(reference), outstanding(secondary)) if len(here) and len(there) else []
             checked = [verified(here, there, way, _fitted, shape) for way in ways]
-            found = max(checked, key=lambda one: len(one.pairs), default=Association.none())
+            found = max(checked, key=lambda one: len(one.pairs), default=found)
         if found.log10_chance > self.chance:
             logger.info(
-                "%d and %d targets; the best association of %d of them is no better than chance (10^%.1f)",
+                "%d and %d targets; the best association of %d of them is no better than chance (10^%.1f)%s",
                 len(here), len(there), len(found.pairs), found.log10_chance,
+                ": others pair as many" if found.ambiguous else "",
             )  # fmt: skip
             return Association.none()
         return found

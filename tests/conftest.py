@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -51,6 +54,45 @@ def turned_pair() -> SimulatedPair:
     return sar_pair((300, 300), rotation_deg=30.0, scale=1.0, shift=(3.0, -2.0), seed=2)
 
 
+@dataclass(frozen=True)
+class LocatedPair:
+    """Two GeoTIFFs on tilted grids of one map projection, and the (2, 3) truth reference -> secondary."""
+
+    reference: Path
+    secondary: Path
+    truth: NDArray[np.float64]
+    bias: tuple[float, float]
+
+
+@pytest.fixture(scope="session")
+def located_pair(tmp_path_factory: pytest.TempPathFactory) -> LocatedPair:
+    """700 x 800, 16 bits, turned by 1.5 degrees; the secondary's geotransform is off by (9, -7) px.
+
+    A corner of the reference is nodata.
+    """
+    import rasterio
+    from rasterio.transform import Affine
+
+    folder, bias = tmp_path_factory.mktemp("located"), (9.0, -7.0)
+    pair = sar_pair((700, 800), rotation_deg=1.5, scale=1.005, shift=(20.0, -14.0), seed=3)
+    here = Affine(10.0, 0.0, 500_000.0, 0.0, -10.0, 4_000_000.0)
+    (a, b, c), (d, e, f) = pair.truth.tolist()
+    # GDAL counts pixels from the corner; its secondary pixel is the true one plus the bias.
+    half = Affine.translation(0.5, 0.5)
+    there = here @ half @ ~Affine(a, b, c + bias[0], d, e, f + bias[1]) @ ~half
+    for name, array, transform in (("reference", pair.reference, here), ("secondary", pair.secondary, there)):
+        samples = np.clip(np.rint(array * 300), 1, 65535).astype(np.uint16)
+        if name == "reference":
+            samples[:280, :280] = 0
+        profile = {"driver": "GTiff", "height": 700, "width": 800, "count": 1, "dtype": "uint16", "nodata": 0}
+        tiles = {"tiled": True, "blockxsize": 256, "blockysize": 256}
+        with rasterio.open(
+            folder / f"{name}.tif", "w", **profile, **tiles, crs="EPSG:32633", transform=transform
+        ) as dataset:
+            dataset.write(samples, 1)
+    return LocatedPair(folder / "reference.tif", folder / "secondary.tif", pair.truth, bias)
+
+
 @pytest.fixture(scope="session")
 def realdata() -> Path:
     """The folder of real SAR images; tests that need it are skipped where it is absent."""
@@ -58,3 +100,21 @@ def realdata() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no real images at {folder}")
     return folder
+
+
+@pytest.fixture(scope="session")
+def chromium() -> Iterator[Any]:
+    """A real browser without a network of its own, driven by Playwright; skipped where either is missing."""
+    sync_api = pytest.importorskip(
+        "playwright.sync_api", reason="pages are tested with Playwright: pip install playwright"
+    )
+    names = ("chromium", "chromium-browser", "google-chrome")
+    found = next((path for path in map(shutil.which, names) if path), None)
+    if found is None:
+        pytest.skip(f"pages are tested in a real browser, and none of {', '.join(names)} is on the PATH")
+    flags = ("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
+             "--disable-component-update", "--disable-sync")  # fmt: skip
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=found, args=list(flags))
+        yield browser
+        browser.close()

@@ -39,7 +39,12 @@ def smooth(height: int, width: int, shift: tuple[float, float] = (0.0, 0.0), see
 
 @pytest.mark.parametrize(("half", "search"), [(4, 2), (12, 3), (24, 1)])
 @pytest.mark.parametrize("offset", [0.0, 30.0])
-def test_equals_the_direct_correlation(sar_texture: Texture, half: int, search: int, offset: float) -> None:
+@pytest.mark.parametrize("few", [0.0, 1e9])
+def test_equals_the_direct_correlation(
+    sar_texture: Texture, half: int, search: int, offset: float, few: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Both ways to sum: running down the image, and window by window."""
+    monkeypatch.setattr("featreg.sar.correlation.FEW", few)
     a = np.log(sar_texture(90, 130, seed=1) + 0.01) + np.float32(offset)
     b = np.log(sar_texture(90, 130, seed=1, looks=6) + 0.01) - np.float32(offset)
     xy = grid_points(a.shape, half + search)
@@ -50,8 +55,9 @@ def test_equals_the_direct_correlation(sar_texture: Texture, half: int, search: 
     np.testing.assert_allclose(found, wanted, atol=2e-4)
 
 
-def test_many_rows_do_not_add_up_rounding_errors() -> None:
+def test_many_rows_do_not_add_up_rounding_errors(monkeypatch: pytest.MonkeyPatch) -> None:
     """Running sums down 3000 rows, with a bright band at the top."""
+    monkeypatch.setattr("featreg.sar.correlation.FEW", 0.0)
     a = smooth(3000, 64)
     a[:200] *= 100
     xy = np.array([[32, 2900], [30, 2950]])

@@ -179,6 +179,18 @@ def test_truth_in_every_form(tmp_path: Path) -> None:
     assert read_truth(tmp_path / "flow.npy").shape == SHAPE
 
 
+def test_points_marked_in_other_programs(tmp_path: Path) -> None:
+    rows = [f"{a + 0.5!r},{-(b + 0.5)!r},{d + 0.5!r},{-(e + 0.5)!r},1" for a, b, d, e in marked(5).tolist()]
+    (tmp_path / "q.points").write_text("\n".join(["mapX,mapY,sourceX,sourceY,enable", *rows]) + "\n")
+    rows = [" ".join(repr(value + 1.5) for value in row) for row in marked(5).tolist()]
+    text = "; ENVI Image to Image GCP File\n; base file: a\n; warp file: b\n; Base Image (x,y), Warp Image (x,y)\n;\n"
+    (tmp_path / "e.pts").write_text(text + "\n".join(rows) + "\n")
+    for name in ("q.points", "e.pts"):
+        truth = read_truth(tmp_path / name)
+        check(truth)
+        assert (truth.kind, truth.marked) == ("marked points", 5)
+
+
 def test_marked_points_report_how_well_they_agree() -> None:
     truth = read_truth(marked(100, 0.5))
     assert truth.residual_px == pytest.approx(0.5 * np.sqrt(2), rel=0.15)

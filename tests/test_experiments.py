@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -19,7 +18,7 @@ import numpy as np
 import pytest
 
 import featreg
-from featreg import Experiment
+from featreg import Experiment, prediction_cache
 from featreg.cli import main
 from featreg.errors import FeatregError, InputError, ParameterError, UnknownNameError
 from featreg.experiments.pairs import pairs_in
@@ -72,14 +71,13 @@ def test_files_round_trip(tmp_path: Path) -> None:
         parameters={"refine": False, "n_features": 2000},
         grid={"trust.least_inliers": [8, 12]},
         seeds=[0, 7],
-        protocol={"threshold": 2.0, "time_limit": 60.0, "filters": ["gms", "fsc"], "refine": True, "nodata": 0.0},
+        protocol=Protocol(threshold=2.0, time_limit=60.0, filters=("gms", "fsc"), refine=True, nodata=0.0),
         metrics=["ncm", "auc@3", "act.detect"],
         title="Ports at night: 50 % clouds",
     )
     for name in ("e.yaml", "sub/e.toml"):
         whole.to_file(tmp_path / name)
         back = Experiment.from_file(tmp_path / name)
-        assert back.to_dict() != whole.to_dict() or os.getcwd() == str(tmp_path)  # paths are seen from the file
         assert back.methods == whole.methods
         assert (back.protocol, back.seeds, back.metrics) == (whole.protocol, whole.seeds, whole.metrics)
         assert (back.grid, back.parameters, back.title) == (whole.grid, whole.parameters, whole.title)
@@ -184,7 +182,7 @@ def test_pairs_of_a_folder_follow_the_rule(folder: Path, tmp_path: Path) -> None
 def test_isolated_threads_processes_and_serial_give_one_table(folder: Path) -> None:
     made = experiment(folder, metrics=["nm", "ncm", "rmse", "grid_rmse", "repeatability", "recall", "mma@3"])
     serial = made.run(isolate=False)
-    assert [row["status"] for row in table_of(serial)] == ["ok"] * 4
+    assert serial.table().failed == 0
     assert all(row["repeatability"] > 0.1 for row in table_of(serial))
     expected = made.run(workers=2)
     assert table_of(expected) == table_of(serial)
@@ -249,14 +247,22 @@ def test_another_protocol_of_matching_is_never_mixed_in(
 
 def test_a_plugin_that_changed_is_matched_again(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     calls = count_matching(monkeypatch)
-    experiment(folder).run(resume=tmp_path, isolate=False)
-    monkeypatch.setattr("featreg.prediction_cache._code", lambda: b"edited")
-    experiment(folder).run(resume=tmp_path, isolate=False)
-    assert len(calls) == 8
+    made = experiment(folder, methods=["orb", "akaze", ("other filter", {"method": "orb", "filters": ["ransac"]})])
+    made.run(resume=tmp_path, isolate=False)
+    before = len(calls)
+    real = prediction_cache._file
+    monkeypatch.setattr(prediction_cache, "_file", lambda name: b"edited" if name.endswith(".gms") else real(name))
+    made.run(resume=tmp_path, isolate=False)
+    assert calls[before:] == ["orb", "orb", "akaze", "akaze"]
+    monkeypatch.setattr(prediction_cache, "_core", lambda: b"edited")
+    made.run(resume=tmp_path, isolate=False)
+    assert len(calls) == 2 * before + 4
 
 
+@pytest.mark.slow
 def test_times_by_stage_come_from_a_serial_pass_and_are_kept(folder: Path, tmp_path: Path) -> None:
-    made = experiment(folder, methods=["orb"], protocol={}, metrics=["ncm", "time_s", "act.detect", "act.gms"])
+    metrics = ["ncm", "time_s", "act.detect", "act.gms"]
+    made = experiment(folder, pairs=pairs_in(folder)[:1], methods=["orb"], protocol={}, metrics=metrics)
     first = made.run(workers=2, resume=tmp_path)
     rows = table_of(first)
     assert all(0 < row["act.gms"] < row["time_s"] and 0 < row["act.detect"] < row["time_s"] for row in rows)
@@ -267,7 +273,9 @@ def test_times_by_stage_come_from_a_serial_pass_and_are_kept(folder: Path, tmp_p
 def test_seeds_are_rows_and_intervals_are_over_pairs(folder: Path) -> None:
     table = experiment(folder, seeds=[0, 1]).run(isolate=False).table()
     assert [row["seed"] for row in table.rows] == [0, 1] * 4
-    assert {row["method"]: row["status"] for row in table.summary()} == {"orb": "4/4 ok", "few": "4/4 ok"}
+    assert {(row["pair"], row["method"]) for row in table.summary()} == {
+        (a, b) for a in ("median", "mean") for b in ("orb", "few")
+    }
     found = table.intervals()["orb"]["ncm"]
     assert (found.count, found.over) == (2, "pairs")
     assert found.mean == pytest.approx(np.mean([row["ncm"] for row in table.rows if row["method"] == "orb"]))
@@ -297,7 +305,7 @@ def test_layouts_of_the_paper(folder: Path) -> None:
     assert latex.count(r"\textbf") >= 2 * 4
     with pytest.raises(ParameterError, match="did you mean 'table3'"):
         table.to_markdown(layout="table33")
-    with pytest.raises(ParameterError, match="needs the metrics .*time_s"):
+    with pytest.raises(ParameterError, match=r"needs the metrics .*time_s"):
         experiment(folder, metrics=["ncm"]).run(isolate=False).table().to_markdown(layout="table2")
 
 
@@ -371,7 +379,7 @@ def test_outputs(run: Run, tmp_path: Path) -> None:
     [
         (["compare"], ["missing option '--methods'"]),
         (["compare", "--methods", "orb"], ["images come in pairs", "got 0"]),
-        (["compare", ".", "port_1.tif", "--methods", "orb"], ["'.' is a folder"]),
+        (["compare", ".", "port_1.tif", "--methods", "orb"], ["'.' is a directory"]),
         (["compare", ".", "--methods", "orb", "--metrics", "ncm,auk@3"], ["'auk@3'", "auc@3"]),
         (["compare", ".", "--methods", "orb", "--layout", "table5"], ["'table5'", "table"]),
         (["compare", ".", "--methods", "orb", "--time-limit", "0"], ["seconds > 0"]),
@@ -396,7 +404,7 @@ def test_misuse_is_one_line(arguments: list[str], words: list[str], run: Run) ->
 @pytest.mark.slow
 def test_killed_and_resumed_it_ends_identical(folder: Path, tmp_path: Path) -> None:
     """SIGKILL at several moments; the table, times included where they had been kept, is that of the kept results."""
-    command = [sys.executable, "-m", "featreg.cli", "compare", str(folder), "--methods", "orb,sar-orb,akaze"]
+    command = [sys.executable, "-m", "featreg.cli", "compare", str(folder), "--methods", "orb,sar-orb"]
     command += ["--no-times", "--format", "csv", "--metrics", "+recall,auc@3"]
     whole = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     kept = tmp_path / "kept"
@@ -418,4 +426,7 @@ def test_killed_and_resumed_it_ends_identical(folder: Path, tmp_path: Path) -> N
 
 
 def test_protocol_survives_replacing() -> None:
-    assert dataclasses.replace(Protocol(filters=("gms",)), threshold=3).to_dict() == {"threshold": 3, "filters": ["gms"]}
+    assert dataclasses.replace(Protocol(filters=("gms",)), threshold=3).to_dict() == {
+        "threshold": 3,
+        "filters": ["gms"],
+    }

@@ -28,19 +28,24 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
     "geometry": ({"geometry"}, {"base", "types", "interfaces", "registry"}),
     "robust": ({"robust", "robust_kernels"}, {"base", "types", "interfaces", "registry", "geometry"}),
     "input": (
-        {"readers", "scales", "masks", "io", "opencv", "torch_arrays", "kornia", "phase_history"},
+        {"readers", "scales", "masks", "io", "raster_source", "raster_files", "window", "writers", "tie_points",
+         "sicd", "opencv", "torch_arrays", "kornia", "phase_history"},
         {"base", "types", "sar"},
     ),
-    "simulate": ({"simulate", "simulate_circle"}, {"base", "types", "sar", "input"}),
+    "simulate": (
+        {"simulate", "simulate_circle", "simulate_scene", "simulate_ground", "simulate_orbit"},
+        {"base", "types", "sar", "geolocation", "input"},
+    ),
     "geolocation": ({"geolocation"}, {"base", "types", "interfaces", "registry", "geometry", "robust", "input"}),
     "plugins": (set(ROOMS), {"base", "types", "sar", "interfaces", "registry", "geometry", "robust", "input"}),
     "results": (
-        {"result_file", "truth", "resample", "resample_kernels", "exports"},
+        {"result_file", "standard_errors", "truth", "resample", "resample_kernels", "lattice", "products",
+         "product_files", "product_grid", "product_samples", "exports"},
         {"base", "types", "sar", "interfaces", "registry", "geometry", "geolocation", "input"},
     ),
-    "focusing": ({"focusing", "range_blocks"}, {"base", "types", "sar", "interfaces", "registry", "input"}),
+    "focusing": ({"focusing", "focused_inputs", "range_blocks"}, {"base", "types", "sar", "interfaces", "registry", "input"}),
     "pipeline": (
-        {"feature_matcher", "presets", "refine", "trust", "pipeline", "assembly", "matching", "extraction"},
+        {"feature_matcher", "scale_search", "presets", "refine", "trust", "pipeline", "assembly", "matching", "extraction"},
         {"base", "types", "sar", "interfaces", "registry", "geometry", "robust", "input", "simulate", "focusing"},
     ),
     "scene": (
@@ -66,11 +71,13 @@ UPWARD = {
     ("featreg.types", "featreg.opencv"): "Features.to_keypoints: a method of the type, OpenCV known in one place",
     ("featreg.types", "featreg.torch_arrays"): "Features.to_lafs: a method of the type, tensors known in one place",
     ("featreg.types", "featreg.result_file"): "Registration.to_json: a method of the type, the format in its own file",
+    ("featreg.types", "featreg.standard_errors"): "Registration.standard_errors: what geometry makes of its tie points",
     ("featreg.interfaces", "featreg.io"): "detect and compute take plain arrays, as OpenCV's do",
+    ("featreg.matching", "featreg.scene.run"): "match hands large images over to the block engine",
     ("featreg.registry", "featreg.presets"): "available('method') lists the presets beside the plugins",
 }
 # The library's third-party imports and the distributions that bring them.
-DISTRIBUTIONS = {"cv2": "opencv-contrib-python-headless"}
+DISTRIBUTIONS = {"cv2": "opencv-contrib-python-headless", "yaml": "pyyaml"}
 LATE = {"cv2", "matplotlib", "pandas", "pyarrow", "rasterio", "scipy", "torch", "kornia"}
 
 

@@ -76,7 +76,7 @@ def test_the_area_is_that_under_the_curve() -> None:
 def test_keypoints_that_both_images_show() -> None:
     reference = np.array([[10.0, 10], [20, 20], [30, 30], [195, 50]])
     secondary = np.array([[20.5, 10], [30, 25], [40, 30.2], [41, 30], [2, 50]])
-    # (195, 50) leaves the secondary; (2, 50) lies where the reference does not look; of the two near (40, 30) one counts.
+    # (195, 50) leaves the secondary; (2, 50) the reference does not show; of the two near (40, 30) one counts.
     assert repeatable(reference, secondary, SHIFT, (SHAPE, SHAPE)) == (2, 3, 4)
     assert repeatable(reference, secondary, SHIFT, (SHAPE, SHAPE), threshold=6) == (3, 3, 4)
     assert repeatable(np.zeros((0, 2)), secondary, SHIFT, (SHAPE, SHAPE)) == (0, 0, 4)
@@ -127,12 +127,14 @@ def draw(rng: np.random.Generator, kind: str, shape: tuple[int, ...]) -> Any:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["normal", "skewed"])
-@pytest.mark.parametrize(("pairs", "seeds", "between"), [(8, 1, 1.0), (10, 5, 1.0), (10, 5, 0.3), (20, 3, 1.0), (40, 1, 1)])
+@pytest.mark.parametrize(("pairs", "seeds", "between"), [(8, 1, 1.0), (10, 5, 1.0), (10, 5, 0.3), (40, 1, 1.0)])
 def test_the_interval_holds_the_truth_as_often_as_it_says(kind: str, pairs: int, seeds: int, between: float) -> None:
     """93 to 97 % of simulated comparisons, for few and many pairs, whether pairs or seeds scatter more."""
     rng = np.random.default_rng(3)
-    runs, held = 2000, 0
-    values = between * draw(rng, kind, (runs, pairs, 1)) + (draw(rng, "normal", (runs, pairs, seeds)) if seeds > 1 else 0)
+    runs, held = 1500, 0
+    values = between * draw(rng, kind, (runs, pairs, 1)) + (
+        draw(rng, "normal", (runs, pairs, seeds)) if seeds > 1 else 0
+    )
     for i, run in enumerate(values.tolist()):
         found = interval(run, resamples=999, seed=i)
         held += found.low is not None and found.high is not None and found.low <= 0 <= found.high
@@ -158,3 +160,18 @@ def test_intervals_of_little_data() -> None:
     assert interval([[1.0], [2.0], [1.5], [1.2], [1.7]]).excludes_zero
     with pytest.raises(ParameterError, match="confidence"):
         interval([[1.0]], 95)
+
+
+def test_a_mean_says_how_many_pairs_it_leaves_out() -> None:
+    from featreg.table import Table
+
+    rows = [
+        {"pair": pair, "method": method, "status": "ok", "grid_rmse": value, "reason": ""}
+        for method, values in (("all", [0.5, 0.7, 0.6]), ("some", [0.1, None, 0.2]))
+        for pair, value in zip("abc", values, strict=True)
+    ]
+    table = Table(rows)
+    assert table.intervals()["all"]["grid_rmse"].missing == 0
+    assert table.intervals()["some"]["grid_rmse"].missing == 1
+    assert "without 1" in str(table)
+    assert "flatters" in str(table)

@@ -195,6 +195,27 @@ def test_several_files_one_polarisation_any_sector(tmp_path: Path) -> None:
         read_phase_history(tmp_path, polarisation="hh")
 
 
+def test_a_file_that_ends_too_soon_and_one_given_twice_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "whole.mat"
+    write_gotcha(path, np.linspace(0, 1, 40))
+    content = path.read_bytes()
+    for size in (0, 50, 128, 300, len(content) // 2, len(content) - 9):
+        (tmp_path / "part.mat").write_bytes(content[:size])
+        with pytest.raises(InputError, match=r"part\.mat"):
+            read_phase_history(tmp_path / "part.mat")
+    with pytest.raises(InputError, match="given twice"):
+        read_phase_history([path, path])
+
+
+def test_what_is_no_path_and_no_sector_is_refused(tmp_path: Path) -> None:
+    write_gotcha(tmp_path / "a.mat", [0.0, 1.0])
+    for wrong in (None, 5, [tmp_path / "a.mat", None]):
+        with pytest.raises(InputError, match="paths of phase-history files"):
+            read_phase_history(wrong)  # type: ignore[arg-type]
+    with pytest.raises(ParameterError, match="two numbers"):
+        read_phase_history(tmp_path / "a.mat", azimuth=3)  # type: ignore[arg-type]
+
+
 def test_a_file_that_is_something_else_is_named(tmp_path: Path) -> None:
     from scipy.io import savemat
 

@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
@@ -17,12 +18,7 @@ from featreg.experiments.jobs import Job, Method, Pair
 from featreg.experiments.metrics import STANDARD, check_metrics, metric_of
 from featreg.experiments.protocol import Protocol
 from featreg.experiments.study import Study
-from featreg.prediction_cache import PredictionCache
-
-#: Keywords of `match` that are not the pipeline's.
-NOT_OF_PIPELINE = (
-    "seed", "initial", "search_radius", "reference_mask", "secondary_mask", "nodata", "scale", "method",
-)  # fmt: skip
+from featreg.prediction_cache import NOT_OF_PIPELINE, PredictionCache
 
 
 @dataclass(frozen=True)
@@ -134,7 +130,7 @@ class Experiment:
         for label, method in self.labelled().items():
             kept = {key: value for key, value in method.keywords.items() if key not in NOT_OF_PIPELINE}
             try:
-                assemble(method.keywords["method"], **kept)
+                assemble(**kept)
             except FeatregError as error:
                 raise type(error)(f"method '{label}': {error}" if label not in str(error) else str(error)) from error
         self.resolved()
@@ -152,6 +148,10 @@ class Experiment:
 
     def resolved(self) -> list[Pair]:
         """The pairs, with names that differ and their truth read."""
+        return list(self._resolved)
+
+    @cached_property
+    def _resolved(self) -> list[Pair]:
         from featreg.experiments.pairs import resolve
 
         return resolve(self.pairs)

@@ -29,6 +29,7 @@ class Interval:
     low, high : the interval; None where nothing can be said: fewer than two values, or all of them equal
     count : pairs (or seeds, where there is one pair only) behind it
     over : "pairs" or "seeds", what was resampled
+    missing : pairs without a value, as those of a method that gave no model; a mean that leaves them out flatters it
     """
 
     mean: float | None
@@ -36,6 +37,7 @@ class Interval:
     high: float | None
     count: int
     over: str = "pairs"
+    missing: int = 0
 
     @property
     def excludes_zero(self) -> bool:
@@ -45,7 +47,8 @@ class Interval:
     def __str__(self) -> str:
         if self.mean is None:
             return ""
-        return f"{self.mean:.3g}" if self.low is None else f"{self.mean:.3g} [{self.low:.3g}, {self.high:.3g}]"
+        reach = "" if self.low is None else f" [{self.low:.3g}, {self.high:.3g}]"
+        return f"{self.mean:.3g}{reach}{f' without {self.missing}' if self.missing else ''}"
 
 
 def interval(
@@ -108,9 +111,9 @@ def _quantiles(values: FloatArray, mean: float, confidence: float, resamples: in
     """The quantiles of the studentised mean under resampling."""
     count, tail = len(values), (1 - confidence) / 2
     centred = values - mean
-    drawn = np.random.default_rng(seed).multinomial(count, np.full(count, 1 / count), size=resamples) / count
-    shift = drawn @ centred
-    variance = (drawn @ centred**2 - shift**2) / (count - 1)
+    drawn = centred[np.random.default_rng(seed).integers(0, count, (resamples, count))]
+    shift = drawn.mean(axis=1)
+    variance = drawn.var(axis=1) / (count - 1)
     scattered = variance > 1e-12 * float(np.mean(centred**2))
     ratio = np.full(resamples, np.inf) * np.where(shift < 0, -1, 1)
     ratio[scattered] = shift[scattered] / np.sqrt(variance[scattered])

@@ -13,12 +13,16 @@ import multiprocessing
 import os
 import queue
 import signal
+import sys
 import threading
 import time
+import types
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass
+from multiprocessing import spawn
 from multiprocessing.connection import Connection, wait
+from multiprocessing.reduction import ForkingPickler
 from typing import Any, ParamSpec, TypeVar
 
 from featreg import errors
@@ -31,11 +35,14 @@ T = TypeVar("T")
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 #: Seconds within which a fresh process must have loaded this package.
 START_LIMIT = 300.0
+NAME = "featreg-worker"
 _environment = threading.Lock()
 
 
 class WorkerLostError(FeatregError):
-    """The process of a job died, or was stopped at its time limit."""
+    """The process of a job died by itself (`died`), or was stopped at its time limit."""
+
+    died = False
 
 
 @dataclass(frozen=True)
@@ -57,8 +64,8 @@ class IsolatedExecutor(Executor):
     -----
     A process that dies while it runs a job may have been damaged by an earlier one, so the job is tried once more in a
     fresh process before its future gets a `WorkerLostError`. Processes are spawned, not forked: forking one that has
-    started threads can hang. As with every spawned pool, a script must keep its own work below
-    ``if __name__ == "__main__":``.
+    started threads can hang. The caller's script is loaded in them only for a job that uses what is defined in it, such
+    as a matcher written there; only then must it keep its work below ``if __name__ == "__main__":``.
     """
 
     def __init__(self, workers: int = 1, time_limit: float | None = None) -> None:
@@ -66,6 +73,11 @@ class IsolatedExecutor(Executor):
             raise ParameterError(f"workers must be a whole number >= 1, got {workers}")
         if time_limit is not None and not time_limit > 0:
             raise ParameterError(f"time_limit must be a number of seconds > 0, got {time_limit}")
+        if multiprocessing.current_process().name == NAME:
+            raise ParameterError(
+                "a worker cannot start workers: a script that defines a method must keep its work below "
+                'if __name__ == "__main__":'
+            )
         self.time_limit = time_limit
         self._jobs: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
         self._closed = False
@@ -129,8 +141,8 @@ class _Worker:
                 used = self.process is not None and self.done > 0
                 try:
                     value = self._run(job)
-                except _DiedError:
-                    if not used or self.stopping:
+                except WorkerLostError as error:
+                    if not error.died or not used or self.stopping:
                         raise
                     value = self._run(job)
             except BaseException as error:
@@ -144,18 +156,18 @@ class _Worker:
     def _run(self, job: _Job) -> Any:
         pipe = self._ready()
         try:
-            pipe.send(job.call)
-        except OSError as error:
-            raise _DiedError(f"its process {self._fate()}") from error
+            content = ForkingPickler.dumps(job.call)
         except Exception as error:
             raise ParameterError(f"the job cannot be sent to another process: {error}") from error
         try:
+            pipe.send(_script() if b"__main__" in bytes(content) else None)
+            pipe.send_bytes(content)
             if not pipe.poll(self.time_limit):
                 self._kill()
                 raise WorkerLostError(f"it took longer than {self.time_limit:g} s and was stopped")
             good, value = pipe.recv()
         except (EOFError, OSError) as error:
-            raise _DiedError(f"its process {self._fate()}") from error
+            raise self._died() from error
         self.done += 1
         if not good:
             raise _error(*value)
@@ -170,8 +182,8 @@ class _Worker:
             raise WorkerLostError("the work was stopped")
         context = multiprocessing.get_context("spawn")
         mine, theirs = context.Pipe()
-        self.process = context.Process(target=_serve, args=(theirs,), name="featreg-worker", daemon=True)
-        with _one_thread():
+        self.process = context.Process(target=_serve, args=(theirs,), name=NAME, daemon=True)
+        with _apart():
             self.process.start()
         theirs.close()
         self.pipe, self.done = mine, 0
@@ -182,11 +194,13 @@ class _Worker:
                 raise WorkerLostError(f"a worker process was not ready after {START_LIMIT:g} s")
             mine.recv()
         except (EOFError, OSError) as error:
-            raise WorkerLostError(
-                f"a worker process {self._fate()} before it was ready; a script must keep its work below "
-                'if __name__ == "__main__":'
-            ) from error
+            raise WorkerLostError(f"a worker process {self._fate()} before it was ready") from error
         return mine
+
+    def _died(self) -> WorkerLostError:
+        error = WorkerLostError(f"its process {self._fate()}")
+        error.died = True
+        return error
 
     def _fate(self) -> str:
         """How the process ended."""
@@ -207,24 +221,36 @@ class _Worker:
             pipe.close()
 
 
-class _DiedError(WorkerLostError):
-    """The process died while it ran a job."""
-
-
 @contextlib.contextmanager
-def _one_thread() -> Iterator[None]:
-    """Let processes started inside the block use one thread of the numeric libraries each."""
+def _apart() -> Iterator[None]:
+    """Let processes started inside the block use one thread of the numeric libraries, and not load the script.
+
+    A spawned process runs the caller's script again, all of it where nothing in it says otherwise, unless it finds an
+    empty one.
+    """
     with _environment:
         before = {name: os.environ.get(name) for name in THREADS}
+        script = sys.modules["__main__"]
         os.environ.update(dict.fromkeys(THREADS, "1"))
+        sys.modules["__main__"] = types.ModuleType("__main__")
         try:
             yield
         finally:
+            sys.modules["__main__"] = script
             for name, value in before.items():
                 if value is None:
                     os.environ.pop(name, None)
                 else:
                     os.environ[name] = value
+
+
+def _script() -> dict[str, Any]:
+    """What a process must load to know the caller's script."""
+    main = sys.modules["__main__"]
+    name, path = getattr(main.__spec__, "name", None), getattr(main, "__file__", None)
+    if name is not None:
+        return {"init_main_from_name": name}
+    return {} if path is None else {"init_main_from_path": os.path.abspath(path)}
 
 
 def _serve(pipe: Connection) -> None:
@@ -235,15 +261,23 @@ def _serve(pipe: Connection) -> None:
     import cv2
 
     import featreg.matching  # noqa: F401  # what every job needs, loaded before its clock starts
+    from featreg.registry import available
 
+    available("detector")
     cv2.setNumThreads(1)
     pipe.send(None)
     while True:
         try:
-            function, args, keywords = pipe.recv()
-            answer: tuple[bool, Any] = True, function(*args, **keywords)
-        except EOFError:
+            script = pipe.recv()
+            content = pipe.recv_bytes()
+        except (EOFError, OSError):
             return
+        answer: tuple[bool, Any]
+        try:
+            if script:
+                spawn.prepare(script)
+            function, args, keywords = ForkingPickler.loads(content)
+            answer = True, function(*args, **keywords)
         except BaseException as error:
             answer = False, (type(error).__name__, str(error))
         try:

@@ -100,14 +100,26 @@ def _table(table: Table) -> ReportTable:
         columns,
         list(table.rows),
         _spreads(table.intervals()),
-        _spreads(table.differences()) if len(table.methods) > 1 else {},
+        _differences(table),
         baseline,
         table.confidence,
     )
 
 
+def _differences(table: Table) -> dict[str, dict[str, Any]]:
+    if len(table.methods) < 2:
+        return {}
+    return {m: {n: (i.mean, i.low, i.high) for n, i in row.items()} for m, row in table.differences().items()}
+
+
 def _spreads(found: Mapping[str, Mapping[str, Interval]]) -> dict[str, dict[str, Any]]:
-    return {m: {name: (i.mean, i.low, i.high) for name, i in row.items()} for m, row in found.items()}
+    """The page marks the best mean, so one that leaves out the pairs a method gave up is not among them."""
+
+    def spread(name: str, i: Interval) -> tuple[float | None, float | None, float | None]:
+        flattering = i.missing > 0 and metric_of(name).better == "lower"
+        return (None, None, None) if flattering else (i.mean, i.low, i.high)
+
+    return {method: {name: spread(name, i) for name, i in row.items()} for method, row in found.items()}
 
 
 def _sweep(table: Table) -> ReportSweep | None:

@@ -172,13 +172,18 @@ def _plain(value: Any, where: str) -> Any:
 
 
 def _tables_last(item: tuple[str, Any]) -> bool:
-    return isinstance(item[1], Mapping) or (isinstance(item[1], list) and any(isinstance(v, dict) for v in item[1]))
+    """Whether a value is written as tables, after which no plain value may stand."""
+    return isinstance(item[1], Mapping) or _are_tables(item[1])
+
+
+def _are_tables(value: Any) -> bool:
+    return isinstance(value, list) and bool(value) and all(isinstance(v, dict) for v in value)
 
 
 def _toml_top(key: str, value: Any) -> str:
     if isinstance(value, Mapping):
         return f"\n[{_toml_key(key)}]\n" + "".join(f"{_toml_key(k)} = {_toml(v)}\n" for k, v in value.items())
-    if isinstance(value, list) and len(value) and all(isinstance(v, dict) for v in value):
+    if _are_tables(value):
         return "".join(
             f"\n[[{_toml_key(key)}]]\n" + "".join(f"{_toml_key(k)} = {_toml(v)}\n" for k, v in part.items())
             for part in value

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from featreg.errors import InputError
 from featreg.geolocation.projection import WGS84, Projection
@@ -37,11 +38,11 @@ class GcpSensor(Sensor):
 
     Notes
     -----
-    Longitude and latitude are polynomials of the image position, plus the height times a polynomial of degree 1 where
-    the points lie at different heights (in a SAR image a point moves along range by height over the tangent of the
-    incidence angle, and the points of a Sentinel-1 grid lie on the terrain). Degrees per axis (1 to 6), with or without
-    heights, are chosen by leave-one-out errors, which also make the uncertainty. Without spread in height the effect of
-    the height is unknown and counts as none.
+    Longitude and latitude are polynomials of the image position (degree 1 to 10 along x, 1 to 5 along y), plus the
+    height times a polynomial (1 to 3, and 1) where the points lie at different heights: in a SAR image a point moves
+    along range by height over the tangent of the incidence angle, and the points of a Sentinel-1 grid lie on the
+    terrain. The degrees are chosen by leave-one-out errors, which also make the uncertainty. Without spread in height
+    the effect of the height is unknown and counts as none.
     """
 
     gcps: FloatArray
@@ -110,25 +111,20 @@ class _Surface:
         ground = np.column_stack([wrapped(lonlat[:, 0] - origin[0]), lonlat[:, 1] - origin[1]])
         unit, level = (xy - centre) / half, float(heights.mean())
         counts = [len(np.unique(np.round(xy[:, axis], 3))) for axis in (0, 1)]
-        best: tuple[float, int, int, bool] | None = None
-        for m in range(1, min(6, counts[0] - 1) + 1):
-            for n in range(1, min(6, counts[1] - 1) + 1):
-                for hilly in (False, True) if heights.std() > HILLY_M else (False,):
-                    error = _left_out(_design(unit, heights - level, m, n, hilly), ground)
-                    # A more complicated surface must be clearly better.
-                    if best is None or error < 0.9 * best[0]:
-                        best = (error, m, n, hilly)
-        if best is None or not np.isfinite(best[0]):
-            best = (np.inf, 1, 1, False)
-        _, m, n, hilly = best
-        if len(xy) < (m + 1) * (n + 1):
-            solution = np.zeros((4, 2))
-            solution[[0, 1, 2]] = np.linalg.lstsq(_design(unit, heights, 1, 1, False)[:, [0, 1, 2]], ground)[0]
-        else:
-            solution = np.linalg.lstsq(_design(unit, heights - level, m, n, hilly), ground)[0]
+        degrees = (0, 1, 2, 3) if heights.std() > HILLY_M else (0,)
+        best = (np.inf, 1, 1, 0)
+        for m, n, k in product(range(1, min(10, counts[0] - 1) + 1), range(1, min(5, counts[1] - 1) + 1), degrees):
+            error = _left_out(_design(unit, heights - level, m, n, k), ground)
+            # A more complicated surface must be clearly better.
+            if error < 0.9 * best[0]:
+                best = (error, m, n, k)
+        _, m, n, k = best
+        # Four corners leave no point to spare: least squares of the fewest terms.
+        solution = np.linalg.lstsq(_design(unit, heights - level, m, n, k), ground)[0]
         count = (m + 1) * (n + 1)
         flat = solution[:count].reshape(m + 1, n + 1, 2)
-        made = cls(centre, half, origin, flat, solution[count:] if hilly else None, level, 0.0)
+        tall = solution[count:].reshape(k + 1, 2, 2) if k else None
+        made = cls(centre, half, origin, flat, tall, level, 0.0)
         jacobian = made.jacobian(centre[None], np.array([level]))[0]
         error = best[0] * float(np.linalg.norm(np.linalg.inv(jacobian), 2)) if np.isfinite(best[0]) else 0.0
         object.__setattr__(made, "error_px", error)
@@ -136,9 +132,9 @@ class _Surface:
 
     def ground(self, xy: FloatArray, heights: FloatArray) -> FloatArray:
         u = (xy - self.centre) / self.half
-        out = np.moveaxis(np.polynomial.chebyshev.chebval2d(u[:, 0], u[:, 1], self.flat), 0, -1) + self.origin
+        out = _values(u, self.flat) + self.origin
         if self.tall is not None:
-            out = out + (heights - self.level)[:, None] * (np.column_stack([np.ones(len(u)), u]) @ self.tall)
+            out = out + (heights - self.level)[:, None] * _values(u, self.tall)
         out[:, 0] = wrapped(out[:, 0])
         return np.asarray(out)
 
@@ -147,10 +143,10 @@ class _Surface:
         u = (xy - self.centre) / self.half
         out = np.empty((len(xy), 2, 2))
         for axis in (0, 1):
-            slope = np.polynomial.chebyshev.chebder(self.flat, axis=axis)
-            out[:, :, axis] = np.moveaxis(np.polynomial.chebyshev.chebval2d(u[:, 0], u[:, 1], slope), 0, -1)
+            out[:, :, axis] = _values(u, np.polynomial.chebyshev.chebder(self.flat, axis=axis))
             if self.tall is not None:
-                out[:, :, axis] += (heights - self.level)[:, None] * self.tall[1 + axis]
+                slope = np.polynomial.chebyshev.chebder(self.tall, axis=axis)
+                out[:, :, axis] += (heights - self.level)[:, None] * _values(u, slope)
             out[:, :, axis] /= self.half[axis]
         return out
 
@@ -177,9 +173,16 @@ class _Surface:
         return found
 
 
-def _design(unit: FloatArray, heights: FloatArray, m: int, n: int, hilly: bool) -> FloatArray:
-    flat = np.asarray(np.polynomial.chebyshev.chebvander2d(unit[:, 0], unit[:, 1], [m, n]), np.float64)
-    return np.column_stack([flat, heights[:, None] * np.column_stack([np.ones(len(unit)), unit])]) if hilly else flat
+def _values(unit: FloatArray, coefficients: NDArray[np.floating]) -> FloatArray:
+    """(N, 2) values at (N, 2) normalised points of the Chebyshev coefficients (m + 1, n + 1, 2)."""
+    return np.asarray(np.moveaxis(np.polynomial.chebyshev.chebval2d(unit[:, 0], unit[:, 1], coefficients), 0, -1))
+
+
+def _design(unit: FloatArray, heights: FloatArray, m: int, n: int, k: int) -> FloatArray:
+    """Terms of degree m along x and n along y and, where k > 0, the height times those of degree k and 1."""
+    chebyshev = np.polynomial.chebyshev.chebvander2d
+    flat = np.asarray(chebyshev(unit[:, 0], unit[:, 1], [m, n]), np.float64)
+    return np.column_stack([flat, heights[:, None] * chebyshev(unit[:, 0], unit[:, 1], [k, 1])]) if k else flat
 
 
 def _left_out(design: FloatArray, values: FloatArray) -> float:

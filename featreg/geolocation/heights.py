@@ -75,7 +75,12 @@ class _Grid:
     @property
     def middle(self) -> float:
         """Longitude or easting in the middle of the model."""
-        return float((self.forward * (self.shape[1] / 2, self.shape[0] / 2))[0])
+        return self.at(self.shape[1] / 2, self.shape[0] / 2)[0]
+
+    def at(self, column: float, row: float) -> tuple[float, float]:
+        """Coordinates of a point counted from the corner of the first cell."""
+        a, b, c, d, e, f = tuple(self.forward)[:6]
+        return float(a * column + b * row + c), float(d * column + e * row + f)
 
 
 class _State:
@@ -164,7 +169,7 @@ class DemHeights(Heights):
         """West, south, east and north ends in degrees."""
         grid = self._grid
         h, w = grid.shape
-        rim = np.array([grid.forward * (w * s, h * t) for s in np.linspace(0, 1, 9) for t in np.linspace(0, 1, 9)])
+        rim = np.array([grid.at(w * s, h * t) for s in np.linspace(0, 1, 9) for t in np.linspace(0, 1, 9)])
         lon, lat = grid.projection.to_lonlat(rim).T
         return float(np.nanmin(lon)), float(np.nanmin(lat)), float(np.nanmax(lon)), float(np.nanmax(lat))
 

@@ -6,7 +6,6 @@ import logging
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,13 +14,13 @@ from featreg.geolocation.heights import DemHeights, Heights
 from featreg.geolocation.sensor import Sensor, metres
 from featreg.geolocation.transfer import Transfer, on_ground
 from featreg.types import BoolArray, FloatArray
-
-if TYPE_CHECKING:
-    from featreg.raster_source import Window
+from featreg.window import Window
 
 #: Nodes along each side of the lattice on which the overlap is first sought, and points per side that are checked.
 NODES = 97
 CHECKED = 65
+#: Part of a pixel by which the rectangles may reach over the rim of an image.
+SLACK = 0.05
 
 logger = logging.getLogger(__name__)
 
@@ -75,8 +74,6 @@ def find_overlap(
     the reference is mapped instead, because relief bends the outline between the corners: the largest rectangle of
     lattice cells whose nodes all fall inside the secondary, whose sides then grow by bisection to the last pixel.
     """
-    from featreg.raster_source import Window
-
     transfer = Transfer(reference, secondary, heights)
     height, width = reference_shape
     limit = np.array([secondary_shape[1], secondary_shape[0]]) - 1.0
@@ -102,14 +99,14 @@ def find_overlap(
     ]
     for side in (0, 1, 2, 3):
         sides[side] = _grown(sides, side, float(room[side]), inside)
-    x0, y0 = math.ceil(sides[0] - 1e-6 + 0.5), math.ceil(sides[1] - 1e-6 + 0.5)
-    x1, y1 = math.floor(sides[2] + 1e-6 + 0.5), math.floor(sides[3] + 1e-6 + 0.5)
+    x0, y0 = (math.ceil(side + 0.5 - SLACK) for side in sides[:2])
+    x1, y1 = (math.floor(side + 0.5 + SLACK) for side in sides[2:])
     here = Window(x0, y0, x1 - x0, y1 - y0)
     if isinstance(heights, DemHeights):
         _check_cover(reference, here, heights, names[0])
     there = transfer(_rim(x0 - 0.5, y0 - 0.5, x1 - 0.5, y1 - 0.5))
-    low = np.clip(np.floor(np.nanmin(there, axis=0)), 0, limit).astype(int)
-    high = np.clip(np.ceil(np.nanmax(there, axis=0)), 0, limit).astype(int)
+    low = np.clip(np.floor(np.nanmin(there, axis=0) + 0.5 + SLACK), 0, limit).astype(int)
+    high = np.clip(np.ceil(np.nanmax(there, axis=0) - 0.5 - SLACK), 0, limit).astype(int)
     window = Window(int(low[0]), int(low[1]), int(high[0] - low[0] + 1), int(high[1] - low[1] + 1))
     return Overlap(here, window, transfer, _uncertainty(reference, secondary))
 
@@ -162,7 +159,7 @@ def _grown(sides: list[float], side: int, room: float, inside: Callable[[FloatAr
 
     if good == bad or fits(bad):
         return bad
-    while abs(good - bad) > 0.05:
+    while abs(good - bad) > SLACK / 2:
         middle = 0.5 * (good + bad)
         good, bad = (middle, bad) if fits(middle) else (good, middle)
     return good

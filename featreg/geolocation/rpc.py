@@ -25,7 +25,7 @@ FOUND_PX = 1e-4
 STEPS = 20
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class RpcSensor(Sensor):
     """A sensor given by rational polynomial coefficients.
 
@@ -62,6 +62,10 @@ class RpcSensor(Sensor):
             kept[name] = None if value is None or not float(value) >= 0 else float(value)
         object.__setattr__(self, "rpcs", kept)
         object.__setattr__(self, "_table", read_only(np.array([kept[name] for name in COEFFICIENTS])))
+
+    def __repr__(self) -> str:
+        r = self.rpcs
+        return f"RpcSensor(longitude {r['long_off']:.4f}, latitude {r['lat_off']:.4f}, height {r['height_off']:.0f} m)"
 
     def ground_to_image(self, lonlat: FloatArray, heights: ArrayLike) -> FloatArray:
         from featreg.geolocation.rpc_kernels import project

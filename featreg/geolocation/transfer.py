@@ -144,7 +144,7 @@ def _bracketed(
     def gap(level: FloatArray, rows: NDArray[np.int64]) -> FloatArray:
         return heights.at(sensor.image_to_ground(xy[rows], level)) - level
 
-    low, high = np.minimum(low, high), np.maximum(low, high)
+    # Where the ground lies over, `low` (below the ground) may be higher than `high`; a crossing is between them still.
     everything = np.arange(len(xy))
     over = np.where(np.isnan(over), gap(low, everything), over)
     under = np.where(np.isnan(under), gap(high, everything), under)
@@ -162,7 +162,7 @@ def _bracketed(
         low[open_], over[open_] = np.where(up, now, near), np.where(up, f, np.where(side[open_] < 0, 0.5 * a, a))
         high[open_], under[open_] = np.where(up, far, now), np.where(up, np.where(side[open_] > 0, 0.5 * b, b), f)
         side[open_] = np.where(up, 1.0, -1.0)
-        done = (np.abs(f) <= CLOSE_M) | (high[open_] - low[open_] <= CLOSE_M) | ~np.isfinite(f)
+        done = (np.abs(f) <= CLOSE_M) | (np.abs(high[open_] - low[open_]) <= CLOSE_M) | ~np.isfinite(f)
         level[open_[~np.isfinite(f)]] = np.nan
         open_ = open_[~done]
     level[open_] = np.nan

@@ -5,35 +5,52 @@ GeometricModel
 │   ├── Translation, Rigid, Similarity     numbers with a meaning
 │   └── Affine, Homography                 a matrix
 ├── Polynomial2, Polynomial3
-└── InverseModel                           of a polynomial, by iteration
+├── InverseModel                           of a polynomial, by iteration
+├── ResidualField                          affine and a smooth local residual
+└── CorrectedModel                         a known map and a correction, `RpcBias` for example
 """
 
 from featreg.geometry.base import GeometricModel, MatrixModel, decompose
 from featreg.geometry.convert import as_model, local_linear, model_from_dict, model_from_matrix, model_to_dict
+from featreg.geometry.corrected import CorrectedModel
 from featreg.geometry.homography import Homography
 from featreg.geometry.matrix import Affine, Rigid, Similarity, Translation
+from featreg.geometry.places import dilution, rigid_standard_errors, selection_cut
 from featreg.geometry.polynomial import InverseModel, Polynomial2, Polynomial3
-from featreg.geometry.uncertainty import RigidUncertainty, prediction_covariance, regional_covariance, rigid_uncertainty
+from featreg.geometry.residual_field import ResidualField
+from featreg.geometry.uncertainty import (
+    RigidUncertainty,
+    inverse_variances,
+    prediction_covariance,
+    regional_covariance,
+    rigid_uncertainty,
+)
 
 __all__ = [
     "Affine",
+    "CorrectedModel",
     "GeometricModel",
     "Homography",
     "InverseModel",
     "MatrixModel",
     "Polynomial2",
     "Polynomial3",
+    "ResidualField",
     "Rigid",
     "RigidUncertainty",
     "Similarity",
     "Translation",
     "as_model",
     "decompose",
+    "dilution",
+    "inverse_variances",
     "local_linear",
     "model_from_dict",
     "model_from_matrix",
     "model_to_dict",
     "prediction_covariance",
     "regional_covariance",
+    "rigid_standard_errors",
     "rigid_uncertainty",
+    "selection_cut",
 ]

@@ -17,6 +17,9 @@ from featreg.geometry.polynomial import Polynomial, polynomial_terms
 from featreg.interfaces import FailedFit, Model
 from featreg.types import FloatArray, IntArray
 
+#: No tie point is known better than this, px.
+FINEST_PX = 0.05
+
 
 @dataclass(frozen=True)
 class RigidUncertainty:
@@ -84,6 +87,7 @@ def prediction_covariance(
     weights: FloatArray | None = None,
     *,
     at: ArrayLike,
+    sigma: float | None = None,
 ) -> FloatArray | FailedFit:
     """Return the covariance of where a fitted model maps points, from the residuals of its own fit.
 
@@ -93,6 +97,7 @@ def prediction_covariance(
     reference_xy, secondary_xy : (M, 2) float64 px
     weights : (M,) relative inverse variances, as in the fit; None for equal ones
     at : (N, 2) reference points, or (2,) for one
+    sigma : standard deviation of a secondary coordinate of weight 1, px; None for that of the residuals
 
     Returns
     -------
@@ -115,7 +120,7 @@ def prediction_covariance(
         mapped, there = model.known(reference_xy), model.known(points.reshape(-1, 2)).reshape(points.shape)
         if not (np.isfinite(mapped).all() and np.isfinite(there).all()):
             return FailedFit("the known map does not reach all points")
-        return prediction_covariance(model.correction, mapped, secondary_xy, weights, at=there)
+        return prediction_covariance(model.correction, mapped, secondary_xy, weights, at=there, sigma=sigma)
     n = normalise(reference_xy, secondary_xy, weights, model.minimum, spread=False)
     if isinstance(n, FailedFit):
         return n
@@ -126,7 +131,7 @@ def prediction_covariance(
     dof = 2 * m - count
     if dof < 1:
         return FailedFit(f"{m} points leave no degree of freedom beside {count} parameters")
-    variance = float(n.weights @ model.residuals(reference, secondary) ** 2) / dof
+    variance = float(n.weights @ model.residuals(reference, secondary) ** 2) / dof if sigma is None else sigma**2
     rows = (design * np.sqrt(n.weights)[:, None, None]).reshape(2 * m, count)
     triangle: FloatArray = np.asarray(np.linalg.qr(rows, mode="r"))
     diagonal = np.abs(np.diag(triangle))
@@ -138,7 +143,13 @@ def prediction_covariance(
 
 
 def regional_covariance(
-    model: Model, reference_xy: FloatArray, secondary_xy: FloatArray, region: IntArray, *, at: ArrayLike
+    model: Model,
+    reference_xy: FloatArray,
+    secondary_xy: FloatArray,
+    region: IntArray,
+    weights: FloatArray | None = None,
+    *,
+    at: ArrayLike,
 ) -> FloatArray | FailedFit:
     """Return the covariance of where a fitted model maps points, by leaving out one region of its points after another.
 
@@ -147,6 +158,7 @@ def regional_covariance(
     model : fitted to these points
     reference_xy, secondary_xy : (M, 2) float64 px
     region : (M,) number of the region in which each point lies
+    weights : (M,) > 0, relative inverse variances, as in the fit; None for equal ones
     at : (N, 2) reference points
 
     Returns
@@ -174,7 +186,7 @@ def regional_covariance(
         mapped, there = model.known(reference_xy), model.known(points)
         if not (np.isfinite(mapped).all() and np.isfinite(there).all()):
             return FailedFit("the known map does not reach all points")
-        return regional_covariance(model.correction, mapped, secondary_xy, region, at=there)
+        return regional_covariance(model.correction, mapped, secondary_xy, region, weights, at=there)
     n = normalise(reference_xy, secondary_xy, None, model.minimum, spread=False)
     if isinstance(n, FailedFit):
         return n
@@ -183,6 +195,9 @@ def regional_covariance(
         return FailedFit(f"the points lie in {len(numbers)} regions, 3 are needed")
     design = _derivatives(model, reference_xy, n)
     error = secondary_xy - model(reference_xy)
+    if weights is not None:
+        root = np.sqrt(weights / weights.mean())
+        design, error = design * root[:, None, None], error * root[:, None]
     count = design.shape[2]
     order = np.argsort(group, kind="stable")
     starts = np.searchsorted(group[order], np.arange(len(numbers)))
@@ -198,6 +213,20 @@ def regional_covariance(
     departure = np.einsum("nap,kp->nak", there, step - step.mean(axis=0))
     share = (len(numbers) - 1) / len(numbers)
     return np.asarray(share * departure @ departure.transpose(0, 2, 1))
+
+
+def inverse_variances(covariance: FloatArray | None) -> FloatArray | None:
+    """Return the weights of tie points (M,) from their covariances (M, 2, 2) px^2, or None where none is known.
+
+    Those of unknown covariance (NaN) get the median of the known ones, and none is taken to be better than 0.05 px.
+    """
+    if covariance is None:
+        return None
+    variance = np.trace(covariance, axis1=1, axis2=2) / 2
+    known = np.isfinite(variance)
+    if not known.any():
+        return None
+    return np.asarray(1 / (np.where(known, variance, np.median(variance[known])) + FINEST_PX**2))
 
 
 def _derivatives(model: Model, xy: FloatArray, n: Normalised) -> FloatArray:

@@ -1,1 +1,6 @@
-"""The local page on which homologous points are marked."""
+"""A local web page to mark homologous points of two images by hand."""
+
+from featreg.marking.points import MarkedPoints
+from featreg.marking.server import marking_app, serve
+
+__all__ = ["MarkedPoints", "marking_app", "serve"]

@@ -177,11 +177,11 @@ function overlaid(reference, aligned) {
 /** Arrows from each point along its residual, `gain` times enlarged. */
 function drawArrows(context, kind, arrows) {
   const path = new Path2D();
-  for (const [u, v, du, dv] of arrows) {
+  for (const [u, v, du, dv, cut] of arrows) {
     const length = Math.hypot(du, dv), head = Math.min(6, length / 2);
     path.moveTo(u, v);
     path.lineTo(u + du, v + dv);
-    if (length < 3) continue;
+    if (length < 3 || cut) continue;
     const cx = (du / length) * head, cy = (dv / length) * head;
     path.moveTo(u + du - cx + cy * 0.6, v + dv - cy - cx * 0.6);
     path.lineTo(u + du, v + dv);

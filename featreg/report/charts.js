@@ -108,7 +108,7 @@ function scatterChart() {
       let [low, high] = [Math.min(...values), Math.max(...values)];
       const log = low > 0 && high / low > 20;
       if (log) return [[low / 1.2, high * 1.2], true];
-      if (low >= 0 && high <= 1 && high > 0.2) return [[0, 1.04], false];
+      if (low >= 0 && high <= 1 && high > 0.6) return [[0, 1.04], false];
       const room = (high - low || Math.abs(high) || 1) * 0.06;
       return [[low >= 0 && low < 0.5 * high ? 0 : low - room, high + room], false];
     };
@@ -136,7 +136,7 @@ function intervalChart() {
   const state = { metric: columns.find((c) => c.name === "precision")?.name ?? columns[0].name };
   const holder = el("div");
   const draw = () => {
-    const column = columnOf(state.metric), step = 34, left = 150, right = 150, height = names.length * step + 50;
+    const column = columnOf(state.metric), step = 34, left = 150, right = 175, height = names.length * step + 50;
     const all = names.map((name) => table.intervals[name][state.metric] ?? [null, null, null]);
     const values = all.flat().filter((v) => v !== null);
     let [low, high] = [Math.min(...values), Math.max(...values)];

@@ -20,8 +20,8 @@ from featreg.result_file import plain
 from featreg.truth import Truth
 from featreg.types import FloatArray, Registration
 
-#: Tie points of one result, and of all results of a page, that are kept: about 11 bytes each.
-MOST, MOST_IN_ALL = 5000, 600_000
+#: Tie points of one result that are kept at most, and at least; base64 letters of all of them together.
+MOST, LEAST, LETTERS = 5000, 200, 9_400_000
 CURVE = tuple(range(1, 11))
 
 
@@ -39,7 +39,6 @@ def content(study: ReportStudy) -> tuple[dict[str, Any], dict[str, str]]:
     blobs: dict[str, str] = {}
     pairs, made = [], {}
     allowance = BUDGET // max(1, 2 * len(study.pairs))
-    limit = max(200, min(MOST, MOST_IN_ALL // max(1, len(study.entries))))
     errors: dict[int, FloatArray | None] = {}
     for number, pair in enumerate(study.pairs):
         images, problem = _pictures(pair, allowance)
@@ -48,7 +47,8 @@ def content(study: ReportStudy) -> tuple[dict[str, Any], dict[str, str]]:
         for k, entry in enumerate(study.entries):
             if entry.pair == pair.name:
                 errors[k] = _errors(entry, pair)
-                made[k] = _entry(k, entry, number, methods, errors[k], study.threshold, limit, size, blobs)
+                made[k] = _entry(entry, number, methods, size)
+    _pack(study, made, errors, blobs)
     whole = {
         "title": study.title,
         "threshold": study.threshold,
@@ -111,17 +111,7 @@ def _errors(entry: ReportEntry, pair: ReportPair) -> FloatArray | None:
     return match_errors(matches.reference_xy, matches.secondary_xy, truth)
 
 
-def _entry(
-    number: int,
-    entry: ReportEntry,
-    pair: int,
-    methods: list[str],
-    errors: FloatArray | None,
-    threshold: float,
-    limit: int,
-    size: tuple[int, int] | None,
-    blobs: dict[str, str],
-) -> dict[str, Any]:
+def _entry(entry: ReportEntry, pair: int, methods: list[str], size: tuple[int, int] | None) -> dict[str, Any]:
     made: dict[str, Any] = {
         "pair": pair,
         "method": methods.index(entry.method),
@@ -136,28 +126,16 @@ def _entry(
     registration = entry.registration
     if registration is None:
         return made
-    points = tie_points(
-        registration, stage=entry.stage, correct=entry.correct, errors=errors, threshold=threshold, limit=limit
-    )
-    blobs[f"p{number}"] = points.packed
     model = registration.model
     made |= {
         "reason": registration.reason,
-        "stage": points.stage,
+        "stage": entry.stage or default_stage(registration),
         "stages": list(registration.stages),
         "chain": [
             ["candidates", int(registration.putative.sum())],
             *([name, int(mask.sum())] for name, mask in registration.stages.items()),
             ["final", int(registration.inliers.sum())],
         ],
-        "points": {
-            "blob": f"p{number}",
-            "shown": points.shown,
-            "total": points.total,
-            "steps": points.steps,
-            "origins": points.origins,
-            "counts": points.counts,
-        },
         "gates": [
             {"name": name, **{k: plain(getattr(gate, k)) for k in ("value", "low", "high", "passed", "meaning")}}
             for name, gate in registration.gates.items()
@@ -167,6 +145,28 @@ def _entry(
     if not isinstance(model, FailedFit) and size is not None:
         made["lattice"] = lattice(model, size, is_affine(model.matrix))
     return made
+
+
+def _pack(
+    study: ReportStudy,
+    made: Mapping[int, dict[str, Any]],
+    errors: Mapping[int, FloatArray | None],
+    blobs: dict[str, str],
+) -> None:
+    """Add the tie points to what was made of each entry: as many of each result as the page has room for."""
+    results = [k for k, entry in enumerate(study.entries) if entry.registration is not None]
+    limit = MOST
+    while True:
+        letters = 0
+        for k in results:
+            entry = study.entries[k]
+            points = tie_points(entry, errors[k], study.threshold, limit)
+            blobs[f"p{k}"] = points.packed
+            letters += len(points.packed)
+            made[k]["points"] = {"blob": f"p{k}", **plain(points), "packed": None}
+        if letters <= LETTERS or limit <= LEAST:
+            return
+        limit = max(LEAST, int(0.97 * limit * LETTERS / letters))
 
 
 def _model(registration: Registration, size: tuple[int, int] | None) -> list[list[str]]:

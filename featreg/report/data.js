@@ -56,6 +56,8 @@ async function pointsOf(entry) {
   const given = entry.points;
   const packed = columnsOf(await inflate(bytesOf(given.blob)), given.shown);
   const [first, second] = given.origins;
+  // The rows stand from top to bottom, and y is stored as the step from the one above.
+  for (let k = 1; k < given.shown; k++) packed.ry[k] += packed.ry[k - 1];
   const place = (stored, step, origin) => Float64Array.from(stored, (value) => origin + step * value);
   return {
     count: given.shown,

@@ -47,10 +47,10 @@ function choice(legend, options, chosen, onchange) {
   const name = fresh("choice");
   const set = el("fieldset", { class: "segments" }, el("legend", {}, legend));
   options.forEach(([value, text, extra], k) => {
-    const id = fresh("option");
-    const input = el("input", { type: "radio", name, id, value, checked: value === chosen });
+    const input = el("input", { type: "radio", name, value, checked: value === chosen });
     input.addEventListener("change", () => input.checked && onchange(value, k));
-    set.append(input, el("label", { for: id }, extra ?? null, text));
+    // The button itself lies unseen over its label, so that whoever clicks or points meets a real one.
+    set.append(el("label", { class: "segment" }, input, el("span", {}, extra ?? null, text)));
   });
   set.choose = (value) => {
     for (const input of set.querySelectorAll("input")) input.checked = input.value === String(value);
@@ -60,7 +60,7 @@ function choice(legend, options, chosen, onchange) {
 
 /** A labelled drop-down. */
 function dropdown(text, options, chosen, onchange) {
-  const select = el("select", {});
+  const select = el("select", { "aria-label": text });
   for (const [value, label] of options) select.append(el("option", { value, selected: String(value) === String(chosen) }, label));
   select.addEventListener("change", () => onchange(select.value));
   const label = el("label", { class: "field" }, el("span", {}, text), select);

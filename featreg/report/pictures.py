@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from featreg.picture_panels import display, resized
 from featreg.types import Image
 
 #: Longest and shortest side in pixels that a picture is reduced to, and bytes of all pictures of a page together.
-LONGEST, SHORTEST, BUDGET = 1024, 256, 5_500_000
+LONGEST, SHORTEST, BUDGET = 1024, 256, 3_600_000
 #: Samples beyond which a file is not read whole but averaged strip by strip.
 LARGE = 36_000_000
 #: Of WebP; speckle costs more than it shows beyond it.
@@ -80,7 +79,7 @@ def _read(source: Any) -> tuple[Image, tuple[int, int]]:
         except (FeatregError, AttributeError):
             # Whatever is wrong with the file, reading it whole says it better.
             pass
-    image: Image = source() if isinstance(source, Callable) else as_image(source)  # type: ignore[arg-type]
+    image = source() if callable(source) else as_image(source)
     if not isinstance(image, Image):
         raise InputError(f"an image of a report must be an Image, got {type(image).__name__}")
     return image, (image.shape[1], image.shape[0])

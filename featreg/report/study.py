@@ -180,4 +180,6 @@ class ReportStudy:
             raise InputError(f"the pairs of a report need different names, '{twice[0]}' stands twice")
         unknown = sorted({entry.pair for entry in self.entries} - set(names))
         if unknown:
-            raise InputError(f"the report has entries of '{unknown[0]}', which is none of its pairs: {', '.join(names)}")
+            raise InputError(
+                f"the report has entries of '{unknown[0]}', which is none of its pairs: {', '.join(names)}"
+            )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import math
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,14 +11,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from featreg.errors import InputError
 from featreg.evaluation import default_stage, stage_mask
 from featreg.pictures import spread_out
+from featreg.report.study import ReportEntry
 from featreg.types import BoolArray, FloatArray, Registration
 
 #: Finest step of a stored position, px; images beyond 65535 steps get a coarser one.
 STEP = 1 / 64
 #: Nodes along each side of the lattice on which a map that is no affine is stored.
-NODES = 33
+NODES = 17
 #: Bits of a match.
 INLIER, SCORED, CORRECT, JUDGED, REFINED = 1, 2, 4, 8, 16
 
@@ -26,7 +29,7 @@ INLIER, SCORED, CORRECT, JUDGED, REFINED = 1, 2, 4, 8, 16
 class TiePoints:
     """The tie points of one result as the page has them.
 
-    `packed` holds the columns named in report.js for `shown` of `total` tie points; a position is
+    `packed` holds the columns named in data.js for `shown` of `total` tie points; a position is
     ``origin + step * stored``, in the reference and in the secondary. `counts` are over all of them.
     """
 
@@ -35,52 +38,44 @@ class TiePoints:
     total: int
     steps: tuple[float, float]
     origins: tuple[tuple[float, float], tuple[float, float]]
-    stage: str
     counts: dict[str, int]
 
 
-def tie_points(
-    registration: Registration,
-    *,
-    stage: str,
-    correct: BoolArray | None,
-    errors: FloatArray | None,
-    threshold: float,
-    limit: int,
-) -> TiePoints:
+def tie_points(entry: ReportEntry, errors: FloatArray | None, threshold: float, limit: int) -> TiePoints:
     """Return the tie points of a result, at most `limit` of them: final ones first, then scored ones, spread out.
 
     Parameters
     ----------
-    registration : the result
-    stage : whose matches were scored; "" for the default stage
-    correct : (M,) bool, or None to judge by `errors`
+    entry : with its registration
     errors : (M,) px, distances from the truth, NaN where it is not known; None without a truth
     threshold : px, greatest error of a correct match
     limit : greatest number of tie points kept
     """
+    registration, correct = entry.registration, entry.correct
+    if registration is None:
+        raise InputError(f"{entry.method} on '{entry.pair}' has no tie points: {entry.failure}")
     matches, inliers = registration.matches, registration.inliers
-    name = stage or default_stage(registration)
-    scored = stage_mask(registration, name)
+    scored = stage_mask(registration, entry.stage or default_stage(registration))
     distance = np.full(len(matches), np.nan) if errors is None else errors
     judged = np.isfinite(distance) if correct is None or errors is not None else np.ones(len(matches), np.bool_)
     right = np.where(judged, distance <= threshold, False) if correct is None else correct & judged
     flags = INLIER * inliers + SCORED * scored + CORRECT * right + JUDGED * judged + REFINED * ~registration.putative
     rows = _chosen(matches.reference_xy, matches.score, inliers, scored, limit)
+    # From top to bottom: the steps of y are small then and deflate well, and the arrow keys walk over the image.
+    rows = rows[np.argsort(matches.reference_xy[rows, 1], kind="stable")]
     shifts = _shifts(registration)
     (rx, ry), step_r, origin_r = _fixed(matches.reference_xy[rows])
     (sx, sy), step_s, origin_s = _fixed(matches.secondary_xy[rows])
     halves = [_half(shifts[rows, 0]), _half(shifts[rows, 1]), _half(distance[rows])]
-    columns: list[NDArray[np.generic]] = [rx, ry, sx, sy, *halves, _rounded(matches.score[rows])]
+    steps_y = np.diff(ry, prepend=np.uint16(0))
+    columns: list[NDArray[np.generic]] = [rx, steps_y, sx, sy, *halves, _rounded(matches.score[rows])]
     columns += [_lost_at(registration)[rows], flags[rows].astype(np.uint8)]
     counts = {
         "scored": int((scored & judged).sum()) if judged.any() else int(scored.sum()),
         "correct": int((scored & right).sum()),
         "final": int(inliers.sum()),
     }
-    return TiePoints(
-        packed(columns), len(rows), len(matches), (step_r, step_s), (origin_r, origin_s), name, counts
-    )
+    return TiePoints(packed(columns), len(rows), len(matches), (step_r, step_s), (origin_r, origin_s), counts)
 
 
 def packed(columns: list[NDArray[np.generic]]) -> str:
@@ -105,9 +100,9 @@ def lattice(
     """
     nodes = 2 if affine else NODES
     x, y = np.meshgrid(np.linspace(0, size[0] - 1, nodes), np.linspace(0, size[1] - 1, nodes))
-    mapped = np.asarray(mapping(np.stack([x.ravel(), y.ravel()], axis=1)), np.float64)
-    known = np.isfinite(mapped).all(axis=1)
-    return nodes, nodes, [round(v, 4) if ok else None for xy, ok in zip(mapped, known, strict=True) for v in xy.tolist()]
+    mapped = np.array(mapping(np.stack([x.ravel(), y.ravel()], axis=1)), np.float64)
+    mapped[~np.isfinite(mapped).all(axis=1)] = np.nan
+    return nodes, nodes, [round(v, 4) if math.isfinite(v) else None for v in mapped.ravel().tolist()]
 
 
 def is_affine(matrix: FloatArray | None) -> bool:
@@ -156,10 +151,12 @@ def _fixed(xy: FloatArray) -> tuple[tuple[NDArray[np.uint16], NDArray[np.uint16]
 
 
 def _half(values: FloatArray) -> NDArray[np.float16]:
-    return np.clip(values, -65000, 65000).astype(np.float16)
+    """float16 with 8 bits of mantissa, 0.2 %."""
+    bits = np.clip(values, -65000, 65000).astype(np.float16).view(np.uint16)
+    return np.where(np.isfinite(values), (bits + 2) & 0xFFFC, 0x7E00).astype(np.uint16).view(np.float16)
 
 
 def _rounded(values: FloatArray) -> NDArray[np.uint32]:
-    """float32 with 12 bits of mantissa, about 4 digits: the rest would only fill the page."""
+    """float32 with 10 bits of mantissa, three digits: the rest would only fill the page."""
     bits = values.astype(np.float32).view(np.uint32)
-    return np.asarray(np.where(np.isfinite(values), (bits + 0x400) & 0xFFFFF800, 0x7FC00000), np.uint32)
+    return np.asarray(np.where(np.isfinite(values), (bits + 0x1000) & 0xFFFFE000, 0x7FC00000), np.uint32)

@@ -49,15 +49,17 @@ class Association:
     pairs : (K, 2) int64 rows of the reference and of the secondary targets
     map : reference -> secondary, or None where the association knows none
     log10_chance : log10 of the expected number of maps that pair as many targets of a random scene; 0 where unknown
+    ambiguous : whether another map pairs nearly as many, so that there are no pairs
     """
 
     pairs: IntArray
     map: Map | None = None
     log10_chance: float = 0.0
+    ambiguous: bool = False
 
     @classmethod
-    def none(cls) -> Association:
-        return cls(np.zeros((0, 2), np.int64))
+    def none(cls, ambiguous: bool = False) -> Association:
+        return cls(np.zeros((0, 2), np.int64), ambiguous=ambiguous)
 
 
 def nearest(mapped_xy: FloatArray, secondary_xy: FloatArray, radius: float = math.inf) -> IntArray:
@@ -100,7 +102,7 @@ def vote(
     ]
     best = max(found, key=lambda one: len(one.pairs), default=Association.none())
     rivals = [one for one in found if len(one.pairs) > RIVAL * len(best.pairs) and _differ(one, best, here)]
-    return Association.none() if rivals else best
+    return Association.none(ambiguous=best.log10_chance < 0) if rivals else best
 
 
 def _differ(first: Association, second: Association, xy: FloatArray) -> bool:
@@ -183,8 +185,10 @@ def _shifts(rotated: FloatArray, there: FloatArray) -> list[tuple[int, FloatArra
     origin = differences.min(axis=0)
     cell = np.floor((differences - origin) / (CELL / 2)).astype(np.int64) + 1
     size = cell.max(axis=0) + 2
-    votes = np.bincount(cell[:, 1] * size[0] + cell[:, 0], minlength=size[0] * size[1]).reshape(size[1], size[0])
-    joined = votes[:-1, :-1] + votes[1:, :-1] + votes[:-1, 1:] + votes[1:, 1:]
+    votes = np.bincount(cell[:, 1] * size[0] + cell[:, 0], minlength=size[0] * size[1]).astype(np.int32)
+    rows = votes.reshape(size[1], size[0])
+    rows = rows[:-1] + rows[1:]
+    joined = rows[:, :-1] + rows[:, 1:]
     found: list[tuple[int, FloatArray]] = []
     for _ in range(SHIFTS):
         y, x = np.unravel_index(int(joined.argmax()), joined.shape)

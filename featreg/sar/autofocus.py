@@ -1,4 +1,4 @@
-"""The autofocus methods by name, how far their phase can be trusted, and the choice that is made where none is named."""
+"""The autofocus methods by name, how far a phase can be trusted, and what is done where no method is named."""
 
 from __future__ import annotations
 
@@ -15,12 +15,14 @@ from featreg.sar.phase_gradient import phase_gradient
 from featreg.sar.pulse_spectra import PulseSpectra
 from featreg.types import FloatArray
 
-#: Expected error, radians RMS, from which a phase is not to be trusted: homogeneous speckle stays above 0.41.
-LIMIT = 0.35
+#: Expected error, radians RMS, from which a phase is not to be trusted; homogeneous speckle stays above 0.6.
+LIMIT = 0.25
 #: Expected error with which `automatic` is content with the strongest cells.
 CONTENT = 0.12
 #: Steps, offset of the weights and samples with which a phase is tried for having settled.
 TRIAL, TRIAL_OFFSET, TRIAL_SAMPLES = 30, 0.0, 1 << 22
+#: Share of the free phase's expected error that a polynomial is charged with.
+HIDDEN = 0.5
 #: Samples on which the parametric start is found.
 START_SAMPLES = 1 << 18
 #: Offset of the weights directly after a parametric start, and the distance from its fixed point at which it ends.
@@ -152,6 +154,10 @@ def check_parametric(
 ) -> Check:  # fmt: skip
     """Check a polynomial phase: its halves, and what it leaves out of the free phase beyond that one's own noise."""
     few = cells.thinned(TRIAL_SAMPLES)
+    if free_check is NO_CHECK or len(few.groups) < 2:
+        return NO_CHECK
     one, other = (legendre_phase(half, band) for half in few.halves())
     left = band.difference(phase, free) ** 2 - free_check.deviation**2
-    return Check(band.difference(one.phase, other.phase), float(np.sqrt(max(left, 0.0))), free_check.gain)
+    # Under the noise of the free phase, an error that both halves' polynomials share could hide.
+    hidden = (HIDDEN * free_check.deviation) ** 2
+    return Check(band.difference(one.phase, other.phase), float(np.sqrt(max(left, hidden))), free_check.gain)

@@ -31,7 +31,8 @@ def apply_phase(image: NDArray[Any], phase: FloatArray, azimuth_axis: int, out: 
 
     def task(top: int) -> None:
         rows = slice(top, top + most)
-        spectra = fft(np.ascontiguousarray(lines[rows], np.complex64), axis=1, overwrite_x=True)
+        # A copy, never a view: the transform works in place.
+        spectra = fft(np.array(lines[rows], np.complex64), axis=1, overwrite_x=True)
         written[rows] = ifft(spectra * turn, axis=1, overwrite_x=True)
 
     run(task, range(0, len(lines), most), workers)

@@ -125,7 +125,7 @@ def back_project(
     Raises
     ------
     ParameterError
-        An unknown window or backend, an upsampling or number of workers below 1.
+        An unknown window or backend, a device that torch cannot use, an upsampling or number of workers below 1.
     PluginUnavailableError
         torch is asked for and not installed.
 
@@ -300,6 +300,12 @@ def _by_torch(plan: _Plan, device: str) -> C64:
         raise PluginUnavailableError(
             f"backend='torch' needs PyTorch ({error}); install it with: pip install 'featreg[torch]'"
         ) from error
+
+    try:
+        torch.zeros(1, device=device)
+    except (RuntimeError, AssertionError) as error:  # a build without CUDA asserts
+        why = (str(error).splitlines() or [type(error).__name__])[0]
+        raise ParameterError(f"device '{device}' cannot be used here ({why}); 'cpu' always can") from error
 
     def put(values: NDArray[Any]) -> Any:
         return torch.from_numpy(np.array(values)).to(device)

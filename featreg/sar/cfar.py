@@ -19,6 +19,10 @@ from featreg.types import BoolArray, FloatArray, IntArray, read_only
 METHODS = ("ca", "goca", "soca", "os", "tm", "cs")
 #: Share of a whole window's training cells that must exist, or the cell is not tested.
 LEAST_SHARE = 0.1
+#: Farthest training cell, px.
+FARTHEST = 512
+#: Above so many training cells, factors that need a search are solved for some numbers of cells and interpolated.
+EXACT = 2000
 #: Rows worked on at once, so that the sums of a strip stay in the cache.
 STRIP = 128
 
@@ -124,6 +128,8 @@ def check(
             "CFAR needs 0 < pfa < 1, guard >= 0, train >= 1, looks > 0, 0 < rank <= 1 and 0 <= trim < 0.5, got "
             f"{pfa}, {guard}, {train}, {looks}, {rank} and {trim}"
         )
+    if guard + train > FARTHEST:
+        raise ParameterError(f"CFAR needs guard + train <= {FARTHEST}, got {guard} + {train}")
 
 
 @lru_cache(maxsize=64)
@@ -152,10 +158,11 @@ def threshold_factors(
         n = np.arange(1, cells + 1)
         w = betaincinv(n * looks, looks, pfa)
         return read_only(np.asarray(n * (1 - w) / w))
-    if method in ("os", "tm", "cs") and looks == 1:
-        return read_only(_of_one_look(method, pfa, cells, rank, trim))
-    some = _some(cells)
-    if method in ("goca", "soca"):
+    one_look = method in ("os", "tm", "cs") and looks == 1
+    some = np.arange(1, cells + 1) if one_look and cells <= EXACT else _some(cells)
+    if one_look:
+        solved = [_of_one_look(method, pfa, int(n), rank, trim) for n in some]
+    elif method in ("goca", "soca"):
         solved = [_solve(_tail_of(_side_means(method, n, looks, sides), looks), pfa) for n in some]
     elif method == "os":
         solved = [_solve(_tail_of(_order_statistics(n, looks, rank), looks), pfa) for n in some]
@@ -232,29 +239,27 @@ def _solve(tail: Callable[[float], float], pfa: float) -> float:
     return (low + high) / 2
 
 
-def _of_one_look(method: str, pfa: float, cells: int, rank: float, trim: float) -> FloatArray:
-    """OS, TM, CS of exponential clutter: X_(i) = sum of E_j / (n - j + 1) over j <= i, E_j exponential of mean 1.
+def _of_one_look(method: str, pfa: float, n: int, rank: float, trim: float) -> float:
+    """OS, TM, CS of n cells of exponential clutter.
 
-    So ln Pfa = - sum ln(1 + a c_j), c_j the share of the kept cells from the j-th on over n - j + 1. It is convex in
-    a, and Newton's steps from 0 rise to the root without overshooting.
+    X_(i) = sum of E_j / (n - j + 1) over j <= i with E_j exponential of mean 1, so ln Pfa = - sum ln(1 + a c_j), c_j
+    the share of the kept cells from the j-th on over n - j + 1. It is convex in a, and Newton's steps from 0 rise to
+    the root without overshooting.
     """
-    out = np.empty(cells)
-    for n in range(1, cells + 1):
-        j = np.arange(n)
-        if method == "os":
-            shares = (j < int(os_rank(np.array(n), rank))).astype(np.float64)
-        else:
-            low, high = (int(k) for k in kept_cells(method, np.array(n), trim))
-            shares = np.clip(n - high - np.maximum(j, low), 0, None) / (n - high - low)
-        c = shares / (n - j)
-        a = 0.0
-        for _ in range(100):
-            step = (np.log1p(a * c).sum() + np.log(pfa)) / (c / (1 + a * c)).sum()
-            a -= step
-            if abs(step) < 1e-9 * a:
-                break
-        out[n - 1] = a
-    return out
+    j = np.arange(n)
+    if method == "os":
+        shares = (j < int(os_rank(np.array(n), rank))).astype(np.float64)
+    else:
+        low, high = (int(k) for k in kept_cells(method, np.array(n), trim))
+        shares = np.clip(n - high - np.maximum(j, low), 0, None) / (n - high - low)
+    c = shares / (n - j)
+    a = 0.0
+    for _ in range(100):
+        step = float((np.log1p(a * c).sum() + np.log(pfa)) / (c / (1 + a * c)).sum())
+        a -= step
+        if abs(step) < 1e-9 * a:
+            break
+    return a
 
 
 def _padded(

@@ -12,7 +12,9 @@ from featreg.errors import InputError, ParameterError
 from featreg.types import FloatArray, Image
 
 #: Nodes of the table that the correction of the bias looks up.
-NODES = 400
+NODES = 100
+#: Points of the integral over its density.
+POINTS = 300
 
 
 def coherence(
@@ -47,19 +49,17 @@ def coherence(
 
     Notes
     -----
-    ``|sum a conj(b)| / sqrt(sum |a|^2 sum |b|^2)``, sums in float64 over the pixels valid in both. The estimate is biased:
-    two unrelated images give about ``sqrt(pi / (4 L))`` with L looks. `correct_bias` inverts the mean of the estimator
-    [1]_, so that the mean is right above the level of no coherence; what lies below it becomes 0, and the scatter grows.
-    Fringes within the window lower the coherence: nothing is flattened.
+    ``|sum a conj(b)| / sqrt(sum |a|^2 sum |b|^2)``, sums in float64 over the pixels valid in both. The estimate is
+    biased: two unrelated images give about ``sqrt(pi / (4 L))`` with L looks. `correct_bias` inverts the mean of the
+    estimator [1]_, so that the mean is right well above the level of no coherence; what lies below it becomes 0, and
+    the scatter grows. Fringes within the window lower the coherence: nothing is flattened.
 
     References
     ----------
     .. [1] R. Touzi, A. Lopes, J. Bruniquel, P. W. Vachon, Coherence estimation for SAR imagery, IEEE Trans. Geoscience
        and Remote Sensing, 1999, doi:10.1109/36.739146
     """
-    rows, cols = (window, window) if isinstance(window, int) else window
-    if any(not isinstance(n, int | np.integer) or n < 1 or n % 2 == 0 for n in (rows, cols)) or rows * cols < 2:
-        raise ParameterError(f"window must be an odd number of pixels or two (rows, columns), not 1 x 1, got {window}")
+    rows, cols = window_size(window)
     count = float(rows * cols) if looks is None else float(looks)
     if not 2 <= count <= rows * cols:
         raise ParameterError(f"looks must be 2 to {rows * cols}, the pixels of the window, got {looks}")
@@ -79,8 +79,8 @@ def coherence(
     cross = a * b.conj()
     across = np.hypot(summed(cross.real), summed(cross.imag))
     power_a, power_b, known = summed(_power(a)), summed(_power(b)), summed(both)
-    # A running sum leaves about 1e-16 of the largest power behind where there is none.
-    lit = (power_a > 1e-12 * power_a.max(initial=0.0)) & (power_b > 1e-12 * power_b.max(initial=0.0))
+    # Counted, since a running sum of powers leaves rounding errors behind where there is nothing.
+    lit = (summed(a != 0) > 0.5) & (summed(b != 0) > 0.5) & (power_a > 0) & (power_b > 0)
     found = np.divide(across, np.sqrt(power_a * power_b, where=lit, out=np.ones_like(across)), where=lit, out=across)
     found = np.minimum(found, 1.0)
     if correct_bias:
@@ -89,33 +89,50 @@ def coherence(
     return np.where(lit & (known >= 0.5 * rows * cols), found, np.nan).astype(np.float32)
 
 
+def window_size(window: int | tuple[int, int]) -> tuple[int, int]:
+    """Return (rows, columns) of a window; a `ParameterError` where it is no window of `coherence`."""
+    rows, cols = (window, window) if isinstance(window, int) else window
+    if any(not isinstance(n, int | np.integer) or n < 1 or n % 2 == 0 for n in (rows, cols)) or rows * cols < 2:
+        raise ParameterError(f"window must be an odd number of pixels or two (rows, columns), not 1 x 1, got {window}")
+    return rows, cols
+
+
 def expected_coherence(true: float, looks: float) -> float:
     """Return the mean of the estimate for a true coherence magnitude and a number of independent looks (>= 2)."""
-    from scipy.special import gammaln, hyp2f1
+    return float(_expected(np.array([true], np.float64), looks)[0])
 
-    if true >= 1.0:
-        return 1.0
-    # The density of Touzi et al., eq. (16), with Euler's transformation of 2F1, which keeps it from overflowing.
-    nodes, weights = np.polynomial.legendre.leggauss(400)
+
+def _expected(true: FloatArray, looks: float) -> FloatArray:
+    """Means of the estimate (N,), from its density, equation (16) of Touzi et al. (1999).
+
+    Euler's transformation of the hypergeometric function leaves a series of positive terms, summed as logarithms:
+    2F1(L, L; 1; z) = (1 - z)^(1 - 2 L) 2F1(1 - L, 1 - L; 1; z).
+    """
+    from scipy.special import gammaln, logsumexp
+
+    nodes, weights = np.polynomial.legendre.leggauss(POINTS)
     d, weights = 0.5 * (nodes + 1.0), 0.5 * weights
-    z = (true * d) ** 2
-    log_density = (
-        looks * np.log1p(-(true**2))
-        + np.log(d)
-        + (looks - 2.0) * np.log1p(-d * d)
-        + (1.0 - 2.0 * looks) * np.log1p(-z)
-        + np.log(hyp2f1(1.0 - looks, 1.0 - looks, 1.0, z))
-    )
-    if true == 0.0:
-        return float(np.exp(gammaln(looks) + gammaln(1.5) - gammaln(looks + 0.5)))
-    density = np.exp(log_density - log_density.max())
-    return float((weights * density * d).sum() / (weights * density).sum())
+    k = np.arange(1, int(looks) + 60)
+    with np.errstate(divide="ignore"):
+        terms = np.concatenate([[0.0], np.cumsum(2.0 * np.log(np.abs(k - looks) / k))])
+    means = np.empty(len(true))
+    for i, t in enumerate(true.tolist()):
+        if t <= 0.0 or t >= 1.0:
+            means[i] = 1.0 if t >= 1.0 else np.exp(gammaln(looks) + gammaln(1.5) - gammaln(looks + 0.5))
+            continue
+        log_z = 2.0 * np.log(t * d)
+        series = logsumexp(terms + log_z[:, None] * np.arange(len(terms)), axis=1)
+        log_density = np.log(d) + (looks - 2.0) * np.log1p(-d * d) + (1.0 - 2.0 * looks) * np.log1p(-np.exp(log_z))
+        log_density += series
+        density = weights * np.exp(log_density - log_density.max())
+        means[i] = (density * d).sum() / density.sum()
+    return means
 
 
 @lru_cache(maxsize=8)
 def _bias(looks: float) -> tuple[FloatArray, FloatArray]:
     true = np.sin(np.linspace(0.0, 0.5 * np.pi, NODES))
-    return true, np.maximum.accumulate([expected_coherence(float(t), looks) for t in true])
+    return true, np.maximum.accumulate(_expected(true, looks))
 
 
 def _samples(image: Image | NDArray[Any], what: str) -> tuple[NDArray[Any], NDArray[np.bool_]]:

@@ -11,6 +11,9 @@ from featreg.types import BoolArray, FloatArray, IntArray
 
 F32 = NDArray[np.float32]
 
+#: Windows that together cover less than this share of the image are summed one by one.
+FEW = 0.7
+
 
 @dataclass(frozen=True)
 class Peaks:
@@ -56,9 +59,16 @@ def local_correlations(first: F32, second: F32, xy: IntArray, half: int, search:
     b = second - np.float32(cv2.mean(second)[0])
     side = 2 * half + 1
     found = np.empty((len(xy), 2 * search + 1, 2 * search + 1))
+    if len(xy) * side**2 < FEW * first.size:
+        correlation_kernels.correlations_of_few(a, b, xs, ys, half, search, found)
+        return _in_order(found, order)
     mean = np.asarray(cv2.boxFilter(b, -1, (side, side)), np.float32)
     square = np.asarray(cv2.sqrBoxFilter(b, -1, (side, side)), np.float32)
     correlation_kernels.correlations(a, b, mean, square, xs, ys, half, search, found)
+    return _in_order(found, order)
+
+
+def _in_order(found: FloatArray, order: IntArray) -> FloatArray:
     back = np.empty_like(found)
     back[order] = found
     return back

@@ -96,3 +96,43 @@ def correlations(
                 covariance = np.float64(product[i] / count) - ma * mb
                 value = 0.0 if flat else covariance / np.sqrt(va * vb)
                 out[i, dy + search, dx + search] = min(max(value, -1.0), 1.0)
+
+
+@compiled
+def _add_square(row: F32, sums: F32, squares: F32) -> None:
+    for x in range(sums.shape[0]):
+        sums[x] += row[x]
+        squares[x] += row[x] * row[x]
+
+
+@compiled
+def correlations_of_few(a: F32, b: F32, xs: I64, ys: I64, half: int, search: int, out: NDArray[np.float64]) -> None:
+    """As `correlations`, each window on its own: the cost is that of the windows, not that of the image."""
+    width, wide = 2 * half + 1, 2 * (half + search) + 1
+    count = np.float32(width * width)
+    sums_a, squares_a = np.empty(width, np.float32), np.empty(width, np.float32)
+    sums_b, squares_b = np.empty(wide, np.float32), np.empty(wide, np.float32)
+    products = np.empty(width, np.float32)
+    for i in range(xs.shape[0]):
+        left, top = xs[i] - half, ys[i] - half
+        sums_a[:], squares_a[:] = 0, 0
+        for y in range(top, top + width):
+            _add_square(a[y, left : left + width], sums_a, squares_a)
+        mean_a = np.float64(_window_total(sums_a, 0, width) / count)
+        power_a = _window_total(squares_a, 0, width) / count
+        va = np.float64(power_a) - mean_a * mean_a
+        for dy in range(-search, search + 1):
+            sums_b[:], squares_b[:] = 0, 0
+            for y in range(top, top + width):
+                _add_square(b[y + dy, left - search : left - search + wide], sums_b, squares_b)
+            for dx in range(-search, search + 1):
+                products[:] = 0
+                for y in range(top, top + width):
+                    _enter_window(a[y, left : left + width], b[y + dy, left + dx : left + dx + width], products)
+                mean_b = np.float64(_window_total(sums_b, dx + search, width) / count)
+                power_b = _window_total(squares_b, dx + search, width) / count
+                vb = np.float64(power_b) - mean_b * mean_b
+                flat = va <= 1e-5 * power_a or vb <= 1e-5 * power_b
+                covariance = np.float64(_window_total(products, 0, width) / count) - mean_a * mean_b
+                value = 0.0 if flat else covariance / np.sqrt(va * vb)
+                out[i, dy + search, dx + search] = min(max(value, -1.0), 1.0)

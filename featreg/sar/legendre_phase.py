@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from featreg.sar.minimum_entropy import Cancelled, Descent
@@ -47,8 +49,9 @@ def legendre_phase(
     exact gradient. The idea of an order that grows is that of J. Wang, X. Liu, SAR minimum-entropy autofocus using an
     adaptive-order polynomial model, IEEE GRSL 3 (2006) 512, doi:10.1109/LGRS.2006.878446; ours is a fixed sequence.
     """
-    from scipy.optimize import minimize
+    from scipy import optimize
 
+    minimize: Any = optimize.minimize
     basis = legendre_basis(band, degrees[-1])
     values = np.zeros(basis.shape[1])
     values[0] = _coarse(cells.thinned(FEW), basis[:, 0])

@@ -98,6 +98,6 @@ def minimum_entropy(
         if contrast and not contrast_only:
             continue  # however small, the steps of the warm-up are no sign of having arrived
         before, change = change, band.difference(phase, previous)
-        rate = float(np.clip(change / before, *RATES))
+        rate = float(np.clip(change / before if before > 0 else 0.0, *RATES))
         distance = change * rate / (1 - rate) if np.isfinite(before) else np.inf
     return Descent(phase, np.array(entropy), float(distance))

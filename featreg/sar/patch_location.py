@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from featreg.errors import InputError
 from featreg.sar.alignment import aligned
 from featreg.sar.association import Fit, Map
 from featreg.sar.cancellation import cancelled_fit
@@ -22,6 +23,16 @@ STILL = 0.02
 #: Shifts in px within which the peaks of aligned patches are taken for good at first.
 NEAR = 8.0
 SAMPLES = ("cc", "rc")
+
+
+def check_samples(samples: str, reference: Image, secondary: Image) -> None:
+    """Raise `InputError` where a complex correlation is asked for of images that are not complex."""
+    for role, image in (("reference", reference), ("secondary", secondary)):
+        if samples == "cc" and not image.is_complex:
+            raise InputError(
+                f"the {role} '{image.name}' holds amplitudes: complex correlation (cc) needs two complex images, "
+                "amplitude correlation (rc) takes any"
+            )
 
 
 @dataclass(frozen=True)

@@ -72,7 +72,7 @@ def _centred(cells: PulseSpectra, strip: slice, phase: FloatArray) -> NDArray[An
 
 def _profile(cells: PulseSpectra, phase: FloatArray) -> FloatArray:
     def task(strip: slice) -> FloatArray:
-        return np.sum(np.abs(_centred(cells, strip, phase)) ** 2, axis=0, dtype=np.float64)
+        return np.asarray(np.sum(np.abs(_centred(cells, strip, phase)) ** 2, axis=0, dtype=np.float64))
 
     return np.asarray(np.sum(cells.over(task), axis=0))
 
@@ -96,7 +96,7 @@ def _gradient(cells: PulseSpectra, band: Band, phase: FloatArray, width: int) ->
 
     def task(strip: slice) -> NDArray[np.complex128]:
         pulses = fft(_centred(cells, strip, phase) * window, axis=1, norm="ortho")[:, band.order]
-        return np.sum(np.conj(pulses[:, :-1]) * pulses[:, 1:], axis=0, dtype=np.complex128)
+        return np.asarray(np.sum(np.conj(pulses[:, :-1]) * pulses[:, 1:], axis=0, dtype=np.complex128))
 
     steps = np.angle(np.sum(cells.over(task), axis=0))
     return band.spread(band.without_line(band.spread(np.r_[0.0, np.cumsum(steps)])))

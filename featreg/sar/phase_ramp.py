@@ -1,7 +1,8 @@
 """The smooth phase ramp of a complex image, as TOPS and squinted acquisitions have it, estimated from the samples.
 
-A ramp moves the local spectrum away from 0, in TOPS by several times the sampling rate over a burst, and an interpolator
-then meets frequencies it cannot carry. It is removed before interpolation and put back, at the new positions, after.
+A ramp moves the local spectrum away from 0, in TOPS by several times the sampling rate over a burst, and an
+interpolator then meets frequencies it cannot carry. It is removed before interpolation and put back, at the new
+positions, after.
 """
 
 from __future__ import annotations
@@ -24,8 +25,10 @@ CELL = 16
 TERMS = ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3))
 #: A cell's samples agree on a frequency from this concentration on; independent samples of a full cell give 0.06.
 AGREED = 0.15
-#: Least concentration of all cells around the ramp that counts as explained.
-EXPLAINED = 0.8
+#: Cells along each axis whose frequencies are averaged before they are held against the ramp.
+AVERAGED = 4
+#: Least concentration of these averages around the ramp that counts as explained; a jump of 2 radians leaves 0.84.
+EXPLAINED = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +39,7 @@ class PhaseRamp:
     ----------
     coefficients : (9,) float64 radians per term u, v, u^2, uv, v^2, u^3, u^2 v, u v^2, v^3
     centre, scale : px; u = (x - centre[0]) / scale, v = (y - centre[1]) / scale
-    concentration : (along x, along y) how well the cells' frequencies agree with it, 0 to 1; NaN where an axis has a
+    concentration : (along x, along y) how well the local frequencies agree with it, 0 to 1; NaN where an axis has a
         white spectrum, which shows no ramp
     before : the same for no ramp at all
     """
@@ -103,8 +106,8 @@ def estimate_phase_ramp(read: Read, shape: tuple[int, int], *, strip: int = 1024
     centre, scale = ((width - 1) / 2, (height - 1) / 2), float(max(shape)) / 2
     u = ((np.arange(cols) + 0.5) * CELL - 0.5 - centre[0]) / scale
     v = ((np.arange(rows) + 0.5) * CELL - 0.5 - centre[1]) / scale
-    u, v = (grid.ravel() for grid in np.broadcast_arrays(u[None, :], v[:, None]))
-    parts = []
+    u, v = np.tile(u, rows), np.repeat(v, cols)
+    parts: list[tuple[NDArray[Any], FloatArray, FloatArray, FloatArray] | None] = []
     for field, weight, derivative in ((across, weight_x, 0), (along, weight_y, 1)):
         agreement = float(weight.sum() / max(np.count_nonzero(weight), 1))
         if agreement >= AGREED:
@@ -113,8 +116,8 @@ def estimate_phase_ramp(read: Read, shape: tuple[int, int], *, strip: int = 1024
             parts.append(None)
     known = [part for part in parts if part is not None]
     coefficients = _fitted(known) if known else np.zeros(len(TERMS))
-    after = [np.nan if p is None else _concentration(p[0], p[1], p[2] @ coefficients) for p in parts]
-    before = [np.nan if p is None else _concentration(p[0], p[1], 0.0) for p in parts]
+    after = [np.nan if p is None else _concentration(p[0], p[1], p[2] @ coefficients, (rows, cols)) for p in parts]
+    before = [np.nan if p is None else _concentration(p[0], p[1], 0.0, (rows, cols)) for p in parts]
     for axis, value in zip(("along x", "along y"), after, strict=True):
         if value < EXPLAINED:
             raise InputError(
@@ -165,7 +168,7 @@ def _tone(field: NDArray[Any], weight: FloatArray) -> FloatArray:
     return np.asarray(middle + 2 * np.pi * (turns_y * (y - mid_y) + turns_x * (x - mid_x))).ravel()
 
 
-def _gradient(u: FloatArray, v: FloatArray, axis: int) -> FloatArray:
+def _gradient(u: NDArray[Any], v: NDArray[Any], axis: int) -> FloatArray:
     """(N, 9) derivative of the terms by u (axis 0) or by v (axis 1)."""
     columns = []
     for p, q in TERMS:
@@ -190,5 +193,11 @@ def _solved(design: FloatArray, values: FloatArray, weight: FloatArray) -> Float
     return np.asarray(np.linalg.lstsq(root * design, root[:, 0] * values, rcond=1e-9)[0])
 
 
-def _concentration(field: NDArray[Any], weight: FloatArray, phase: FloatArray | float) -> float:
-    return float(np.abs((field * weight * np.exp(-1j * np.asarray(phase))).sum()) / max(float(weight.sum()), 1e-300))
+def _concentration(field: NDArray[Any], weight: FloatArray, phase: FloatArray | float, cells: tuple[int, int]) -> float:
+    """Length of the mean phasor of the averaged cells, 1 where all agree with the phase."""
+    left = (field * weight * np.exp(-1j * np.asarray(phase))).reshape(cells)
+    rows, cols = (max(1, n // AVERAGED) for n in cells)
+    cut = left[: rows * (cells[0] // rows), : cols * (cells[1] // cols)]
+    means = cut.reshape(rows, cells[0] // rows, cols, cells[1] // cols).sum(axis=(1, 3))
+    size = np.abs(means)
+    return float(np.abs(means.sum()) / size.sum()) if size.sum() > 0 else 0.0

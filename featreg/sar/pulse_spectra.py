@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -33,43 +34,34 @@ class PulseSpectra:
     Parameters
     ----------
     spectra : (K, N) complex64, unitary FFT along azimuth; the energies of the rows sum to K
+    energy : (K,) float64 energy of each row: all 1, unless the cells keep their proportions
     share : (K,) float64 energy of each cell in the image, as a share of all K
-    groups : (start, stop) rows of neighbouring cells, which see the same scatterers
+    groups : (start, stop) rows of neighbouring cells, which see the same scatterers, one after the other
     workers : threads; the result does not depend on them
     """
 
     spectra: C64
+    energy: FloatArray
     share: FloatArray
     groups: tuple[tuple[int, int], ...]
     workers: int = 1
 
     @property
     def pulses(self) -> int:
-        return self.spectra.shape[1]
+        return int(self.spectra.shape[1])
 
     @property
     def cells(self) -> int:
-        return sum(stop - start for start, stop in self.groups)
-
-    @property
-    def rows(self) -> IntArray:
-        """Rows that count, those of the groups."""
-        return np.concatenate([np.arange(*group) for group in self.groups])
+        return len(self.spectra)
 
     def power(self) -> FloatArray:
         """(N,) float64 mean power of every pulse."""
-        total = np.zeros(self.pulses)
-        for rows in self.strips():
-            part = self.spectra[rows]
-            total += np.sum(part.real**2 + part.imag**2, axis=0, dtype=np.float64)
-        return total / self.cells
 
-    def strips(self) -> list[slice]:
-        """The groups, cut to strips."""
-        most = max(1, STRIP // self.pulses)
-        return [
-            slice(top, min(top + most, stop)) for start, stop in self.groups for top in range(start, stop, most)
-        ]  # fmt: skip
+        def task(strip: slice) -> FloatArray:
+            part = self.spectra[strip]
+            return np.asarray(np.sum(part.real**2 + part.imag**2, axis=0, dtype=np.float64))
+
+        return np.asarray(np.sum(self.over(task), axis=0) / self.cells)
 
     def thinned(self, samples: int) -> PulseSpectra:
         """About so many samples, in whole groups spread over the range; at least two groups where there are two."""
@@ -78,19 +70,31 @@ class PulseSpectra:
         if count >= len(self.groups):
             return self
         chosen = np.unique(np.linspace(0, len(self.groups) - 1, count).round().astype(int))
-        return replace(self, groups=tuple(self.groups[i] for i in chosen))
+        return self._of([self.groups[i] for i in chosen])
 
     def halves(self) -> tuple[PulseSpectra, PulseSpectra]:
         """Every second group, and the others: two images of the same pulses without common scatterers."""
-        return replace(self, groups=self.groups[::2]), replace(self, groups=self.groups[1::2])
+        return self._of(self.groups[::2]), self._of(self.groups[1::2])
+
+    def _of(self, groups: Sequence[tuple[int, int]]) -> PulseSpectra:
+        """A copy of some groups, side by side."""
+        rows = np.concatenate([np.arange(*group) for group in groups])
+        edges = np.cumsum([0, *(stop - start for start, stop in groups)]).tolist()
+        share = self.share[rows]
+        return replace(
+            self,
+            spectra=self.spectra[rows],
+            share=share / share.sum(),
+            energy=self.energy[rows],
+            groups=tuple(pairwise(edges)),
+        )
 
     def over(self, task: Callable[[slice], Any]) -> list[Any]:
         """Results of a task over all strips, in order."""
-        strips = self.strips()
-        if self.workers == 1 or len(strips) == 1:
-            return [task(strip) for strip in strips]
-        with ThreadPoolExecutor(self.workers) as pool:
-            return list(pool.map(task, strips))
+        most = max(1, STRIP // self.pulses)
+        # Starting threads costs more than it saves where there is little to do.
+        workers = self.workers if self.spectra.size > 4 * STRIP else 1
+        return run(lambda top: task(slice(top, top + most)), range(0, self.cells, most), workers)
 
     def step(self, phase: FloatArray, *, contrast: bool, offset: float = 0.0, clamped: bool = True) -> Step:
         """One step of an image criterion; see `Step`.
@@ -139,18 +143,9 @@ class PulseSpectra:
 
     def _criteria(self, sums: FloatArray) -> tuple[float, float]:
         objective = -float(sums.sum()) / (self.cells * self.pulses)
-        rows = self.rows
-        share = self.share[rows] / self.share[rows].sum()
-        energy = self.pulses * self._energies[rows]
+        energy = self.pulses * self.energy
         within = np.log(energy) - sums / energy
-        return objective, float(np.sum(share * (within - np.log(share))))
-
-    @property
-    def _energies(self) -> FloatArray:
-        """(K,) energies of the rows: all 1 where the cells are normalised, else their share times K."""
-        return np.ones(len(self.share)) if self.normalized else self.share * len(self.share)
-
-    normalized: bool = True
+        return objective, float(np.sum(self.share * (within - np.log(self.share))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,7 +173,7 @@ def grouped(cells: Sequence[int] | IntArray) -> tuple[tuple[int, int], ...]:
         if i == len(values) or values[i] - values[i - 1] > GAP:
             pieces = max(1, round((i - start) / RUN))
             edges = np.linspace(start, i, pieces + 1).round().astype(int).tolist()
-            groups += list(zip(edges[:-1], edges[1:], strict=True))
+            groups += list(pairwise(edges))
             start = i
     return tuple(groups)
 
@@ -213,12 +208,13 @@ def pulse_spectra(
     run(task, range(0, len(cells), most), workers)
     if not normalize:
         spectra *= np.float32(1 / np.sqrt(energy.mean()))
-    return PulseSpectra(spectra, energy / energy.sum(), grouped(cells), workers, normalize)
+    kept = np.ones(len(cells)) if normalize else energy / energy.mean()
+    return PulseSpectra(spectra, kept, energy / energy.sum(), grouped(cells), workers)
 
 
 def energies(lines: NDArray[Any]) -> FloatArray:
     """(K,) float64 sums of the squared moduli along the second axis."""
-    return np.sum(lines.real.astype(np.float64) ** 2 + lines.imag.astype(np.float64) ** 2, axis=1)
+    return np.asarray(np.sum(lines.real.astype(np.float64) ** 2 + lines.imag.astype(np.float64) ** 2, axis=1))
 
 
 def run(task: Callable[[int], Any], items: Iterable[int], workers: int) -> list[Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -42,9 +43,9 @@ def plan_blocks(area: Window, size: int = BLOCK) -> tuple[Block, ...]:
     if isinstance(size, bool) or size < SMALLEST:
         raise ParameterError(f"block must be a whole number of pixels >= {SMALLEST}, got {size}")
     xs, ys = _edges(area.x, area.width, size), _edges(area.y, area.height, size)
-    blocks = []
-    for row, (top, bottom) in enumerate(zip(ys[:-1], ys[1:], strict=True)):
-        for col, (left, right) in enumerate(zip(xs[:-1], xs[1:], strict=True)):
+    blocks: list[Block] = []
+    for row, (top, bottom) in enumerate(pairwise(ys)):
+        for col, (left, right) in enumerate(pairwise(xs)):
             blocks.append(Block(len(blocks), row, col, Window(left, top, right - left, bottom - top)))
     return tuple(blocks)
 
@@ -54,9 +55,7 @@ def spread_out(blocks: tuple[Block, ...], count: int) -> tuple[Block, ...]:
     rows, cols = blocks[-1].row + 1, blocks[-1].col + 1
     high = min(rows, max(1, round((count * rows / cols) ** 0.5)))
     wide = min(cols, max(1, round(count / high)))
-    chosen = {
-        (int((i + 0.5) * rows / high), int((j + 0.5) * cols / wide)) for i in range(high) for j in range(wide)
-    }
+    chosen = {(int((i + 0.5) * rows / high), int((j + 0.5) * cols / wide)) for i in range(high) for j in range(wide)}
     return tuple(block for block in blocks if (block.row, block.col) in chosen)
 
 

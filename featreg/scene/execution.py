@@ -188,15 +188,23 @@ class _Processes:
         self._pool: ProcessPoolExecutor | None = None
 
     def __enter__(self) -> _Processes:
+        # A library that starts threads of its own here would forbid the fork.
+        self._libraries = single_threaded_libraries()
+        self._libraries.__enter__()
         return self
 
     def __exit__(self, *_: object) -> None:
         self._close()
+        self._libraries.__exit__(None, None, None)
 
     def run(
         self, function: Callable[..., Any], common: Sequence[Any], items: Sequence[Any], cancel: Canceller | None
     ) -> Iterator[tuple[int, Any]]:
         left = dict(enumerate(items))
+        if self._pool is None and len(left) > 1:
+            # Here, so that the workers inherit what the first block has imported and compiled.
+            _look(cancel)
+            yield 0, function(*common, left.pop(0))
         for attempt in range(REPLACED + 1):
             positions = list(left)
             lane = _Futures(self._open(), self._workers, own_process=True)
@@ -248,7 +256,7 @@ def _start_worker(parent: int) -> None:
 
 def _dask_threads(client: Any) -> int:
     try:
-        return max(1, sum(client.nthreads().values()))
+        return max(1, int(sum(client.nthreads().values())))
     except Exception:  # a cluster that does not say how large it is still takes tasks
         return UNKNOWN
 

@@ -14,12 +14,15 @@ from featreg.interfaces import FailedFit, Model
 from featreg.refine import ROUNDS, Refined
 from featreg.robust import irls
 from featreg.scene.blocks import Block
+from featreg.scene.prior import Prior
 from featreg.scene.task import BlockResult
 from featreg.trust import Limits
 from featreg.types import BoolArray, FloatArray, Gate, IntArray, Matches
 
 #: Refined tie points farther than this from the first model are wrong, px.
 FAR_PX = 6.0
+#: Fewest blocks of which every second one is left out of a fit; of fewer, every second tie point is.
+LEAST_FOR_CHESS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +124,14 @@ def fit_refined(merged: Merged, first: Model, max_residual: float) -> tuple[Refi
 
 
 def block_gates(
-    blocks: Sequence[Block], tried: int, owners: IntArray, matches: Matches, model: Model, limits: Limits
+    blocks: Sequence[Block],
+    tried: int,
+    owners: IntArray,
+    matches: Matches,
+    model: Model,
+    merged: Merged,
+    prior: Prior,
+    limits: Limits,
 ) -> dict[str, Gate]:
     """The gates that only a scene has: how many blocks contribute, and how well one half of them predicts the other.
 
@@ -132,12 +142,24 @@ def block_gates(
     owners : (M,) block of each final tie point
     matches : the (M,) final tie points
     model : fitted to them
+    merged : what the blocks gave
+    prior : by which they were searched
     limits : what must be reached
     """
     contributing = len(np.unique(owners))
     share = contributing / tried if tried else 0.0
-    error = held_out_rmse(blocks, owners, matches, type(model))
+    error = held_out_rmse(blocks, owners, matches, model, merged)
+    kept = np.ones(len(merged.matches), np.bool_)
+    for mask in merged.stages.values():
+        kept = kept & mask
+    here, there = merged.matches.reference_xy[kept], merged.matches.secondary_xy[kept]
+    off = float(np.median(np.hypot(*(prior(here) - there).T))) if len(here) else None
+    most = 0.6 * prior.uncertainty_px
     return {
+        "search": Gate(
+            off, off is not None and off <= most, high=most,
+            meaning="median distance of the tie points from where the blocks were searched, px",
+        ),
         "blocks": Gate(
             share, share >= limits.block_share, low=limits.block_share,
             meaning="share of the blocks with content that hold a final tie point",
@@ -150,20 +172,29 @@ def block_gates(
 
 
 def held_out_rmse(
-    blocks: Sequence[Block], owners: IntArray, matches: Matches, kind: type[Model]
+    blocks: Sequence[Block], owners: IntArray, matches: Matches, model: Model, merged: Merged
 ) -> float | None:
-    """RMSE in pixels of each colour of a chessboard of blocks from the model of the other; None if it cannot be told."""
-    colour = np.array([(b.row + b.col) % 2 for b in blocks], np.int64)[owners]
-    if len(np.unique(colour)) < 2:
-        # Too few blocks for a chessboard: every second tie point.
-        colour = np.arange(len(owners)) % 2
+    """RMSE in pixels of the tie points of each colour of a chessboard of blocks from the model of the other.
+
+    Those that the model leaves out count too, unless they are wrong (`FAR_PX`): where the model is too stiff for the
+    terrain, the final tie points alone would not tell. None where it cannot be told.
+    """
+    chess = np.array([(b.row + b.col) % 2 for b in blocks], np.int64)
+    witnesses, theirs = merged.refined, merged.refined_blocks
+    if not len(witnesses):
+        witnesses, theirs = matches, owners
+    near = model.residuals(witnesses.reference_xy, witnesses.secondary_xy) <= FAR_PX
+    witnesses, theirs = witnesses.take(np.flatnonzero(near)), theirs[near]
+    mine, other = chess[owners], chess[theirs]
+    if len(blocks) < LEAST_FOR_CHESS:
+        mine, other = np.arange(len(mine)) % 2, np.arange(len(other)) % 2
     squares: list[FloatArray] = []
     for side in (0, 1):
-        fitted, left = colour == side, colour != side
-        model = kind.from_estimate(matches.reference_xy[fitted], matches.secondary_xy[fitted])
-        if isinstance(model, FailedFit) or not left.any():
+        fitted, left = mine == side, other != side
+        half = type(model).from_estimate(matches.reference_xy[fitted], matches.secondary_xy[fitted])
+        if isinstance(half, FailedFit) or not left.any():
             return None
-        squares.append(model.residuals(matches.reference_xy[left], matches.secondary_xy[left]) ** 2)
+        squares.append(half.residuals(witnesses.reference_xy[left], witnesses.secondary_xy[left]) ** 2)
     return float(np.sqrt(np.mean(np.concatenate(squares))))
 
 

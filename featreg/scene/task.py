@@ -225,6 +225,14 @@ def _moved(matches: Matches, here: Window, there: Window) -> Matches:
     )
 
 
+def survivors(result: BlockResult) -> BoolArray:
+    """(M,) tie points of a block that every local stage kept."""
+    kept = np.ones(len(result.matches), np.bool_)
+    for mask in result.stages.values():
+        kept = kept & mask
+    return kept
+
+
 def columns_of(result: BlockResult) -> dict[str, NDArray[Any]]:
     """A finished block as plain arrays, enough to make it again with `from_columns`."""
     out: dict[str, NDArray[Any]] = {

@@ -1,0 +1,155 @@
+"""What an export writes: the chosen tie points, their residuals, and what is known of the two images."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from featreg.errors import InputError, ParameterError, suggest
+from featreg.interfaces import FailedFit, Model
+from featreg.result_file import tie_point_columns
+from featreg.types import BoolArray, FloatArray, Geolocation, Matches, Registration
+
+#: Stages that every result has, beside its filters.
+ALWAYS = ("inliers", "all")
+
+
+@dataclass(frozen=True, eq=False)
+class ImageInfo:
+    """What is known of one image: `path` as it was matched, `size` (H, W), and where it lies if its file is at hand."""
+
+    path: str
+    size: tuple[int, int]
+    geolocation: Geolocation | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Content:
+    """What is exported.
+
+    Parameters
+    ----------
+    matches : the chosen tie points, featreg's pixel convention
+    offset : (M, 2) model minus tie point in the secondary, px; NaN where there is no model
+    columns : name -> (M,), all columns of the result's tie-point table
+    model : of the result, or why there is none
+    reference, secondary : the images
+    """
+
+    matches: Matches
+    offset: FloatArray
+    columns: Mapping[str, NDArray[Any]]
+    model: Model | FailedFit
+    reference: ImageInfo
+    secondary: ImageInfo
+
+
+def content_of(
+    registration: Registration, stage: str, reference: str | Path | None, secondary: str | Path | None
+) -> Content:
+    """Return what an export of `stage` writes.
+
+    Parameters
+    ----------
+    registration : the result
+    stage : "inliers", the name of a filter, or "all"
+    reference, secondary : the images' files where they are no longer where the result says
+    """
+    rows = rows_of(registration, stage)
+    matches = registration.matches.take(rows)
+    model = registration.model
+    offset = np.full((len(matches), 2), np.nan)
+    if not isinstance(model, FailedFit) and len(matches):
+        offset = model(matches.reference_xy) - matches.secondary_xy
+    columns = {name: values[rows] for name, values in tie_point_columns(registration).items()}
+    images = [_info(registration, role, path) for role, path in (("reference", reference), ("secondary", secondary))]
+    return Content(matches, offset, columns, model, *images)
+
+
+def rows_of(registration: Registration, stage: str) -> BoolArray:
+    """Return the (M,) mask of the tie points of a stage.
+
+    Raises
+    ------
+    ParameterError
+        The result has no such stage; the text names those it has.
+    """
+    if stage == "inliers":
+        return registration.inliers
+    if stage == "all":
+        return np.ones(len(registration.matches), np.bool_)
+    if stage not in registration.stages:
+        names = (*registration.stages, *ALWAYS)
+        hint = suggest(stage, names)
+        more = "" if hint.startswith("known") else f" (this result has {', '.join(names)})"
+        raise ParameterError(f"the result has no stage '{stage}', {hint}{more}")
+    return registration.stages[stage]
+
+
+def _info(registration: Registration, role: str, given: str | Path | None) -> ImageInfo:
+    from featreg.raster_source import RasterSource
+
+    known = dict((registration.provenance.get("inputs") or {}).get(role) or {})
+    path = str(given if given is not None else known.get("path") or role)
+    size = (int(known.get("height") or 0), int(known.get("width") or 0))
+    if given is None and not Path(path).is_file():
+        return ImageInfo(path, size)
+    try:
+        source = RasterSource(path, band=1)
+        shape, place = source.shape, source.geolocation
+    except InputError:
+        if given is not None:
+            raise
+        return ImageInfo(path, size)
+    if size != (0, 0) and shape != size:
+        if given is None:
+            return ImageInfo(path, size)
+        raise InputError(
+            f"{path}: {shape[1]} x {shape[0]} pixels, but the {role} of the result was {size[1]} x {size[0]}"
+        )
+    return ImageInfo(path, shape, place)
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """Ground coordinates of points: (M, 3) x, y, height in `crs` (WKT or authority code), and how they were found."""
+
+    xyz: FloatArray
+    crs: str
+    how: str
+
+
+def ground_of(image: ImageInfo, xy: FloatArray) -> Ground | None:
+    """Return the ground coordinates of points of an image; None where nothing says where the image lies.
+
+    A geotransform gives its own map coordinates. RPC coefficients and ground control points give longitude and
+    latitude at one height: the coefficients' height offset, the mean height of the control points.
+    """
+    place = image.geolocation
+    if place is None:
+        return None
+    if place.transform is not None and place.rpcs is None:
+        a, b, c, d, e, f = place.transform
+        x, y = (xy + 0.5).T
+        ground = np.column_stack([a * x + b * y + c, d * x + e * y + f, np.zeros(len(xy))])
+        return Ground(ground, place.crs or "", "its geotransform")
+    from featreg.geolocation import sensor_of
+
+    if place.rpcs is not None:
+        height, how = float(place.rpcs["height_off"]), "its RPC coefficients at their height offset"
+    elif place.gcps is not None:
+        height, how = float(place.gcps[:, 4].mean()), "its ground control points at their mean height"
+    else:
+        return None
+    sensor = sensor_of(place, image.size, image.path)
+    lonlat = sensor.image_to_ground(np.asarray(xy, np.float64), height)
+    if not np.isfinite(lonlat).all():
+        raise InputError(
+            f"{image.path}: {int((~np.isfinite(lonlat).all(1)).sum())} tie points have no place on the ground"
+        )
+    return Ground(np.column_stack([lonlat, np.full(len(xy), height)]), "EPSG:4326", how)

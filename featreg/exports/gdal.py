@@ -1,0 +1,65 @@
+"""GDAL ground control points of the secondary: a VRT, a GeoTIFF, or a text file of ``-gcp`` options.
+
+Pixel and line have the first pixel's centre at (0.5, 0.5). Ground coordinates are the reference's; where nothing says
+where it lies they are its pixels, X = pixel and Y = -line, so that ``gdalwarp -te 0 -H W 0 -tr 1 1`` gives its grid.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from featreg.errors import InputError
+from featreg.exports.content import Content, ground_of
+from featreg.readers import quiet
+from featreg.tie_points import PIXEL_OFFSETS
+from featreg.types import FloatArray
+
+
+def write(content: Content, path: Path) -> None:
+    """Write by suffix: ``.vrt`` refers to the secondary's file, ``.tif`` copies it, ``.txt`` is for ``--optfile``.
+
+    Raises
+    ------
+    InputError
+        The secondary's file is not at hand (``.vrt`` and ``.tif`` need it).
+    """
+    pixel, line = (content.matches.secondary_xy + PIXEL_OFFSETS["gdal"]).T
+    ground = ground_of(content.reference, content.matches.reference_xy)
+    xyz: FloatArray
+    if ground is None:
+        flat = (content.matches.reference_xy + PIXEL_OFFSETS["gdal"]) * (1, -1)
+        xyz, crs = np.column_stack([flat, np.zeros(len(flat))]), ""
+    else:
+        xyz, crs = ground.xyz, ground.crs
+    rows = np.column_stack([pixel, line, xyz])
+    if path.suffix.lower() == ".txt":
+        path.write_text("".join("-gcp " + " ".join(map(repr, row)) + "\n" for row in rows.tolist()), encoding="utf-8")
+    else:
+        _write_raster(content, path, rows, crs)
+
+
+def _write_raster(content: Content, path: Path, rows: FloatArray, crs: str) -> None:
+    import rasterio
+    from rasterio.control import GroundControlPoint
+    from rasterio.crs import CRS
+    from rasterio.shutil import copy
+
+    source = Path(content.secondary.path)
+    if not source.is_file():
+        raise InputError(f"GCPs in a {path.suffix} need the secondary's file, '{source}' is not there; give it")
+    points: list[Any] = [
+        GroundControlPoint(row=line, col=pixel, x=x, y=y, z=z, id=str(k))
+        for k, (pixel, line, x, y, z) in enumerate(rows.tolist(), 1)
+    ]
+    vrt = path if path.suffix.lower() == ".vrt" else path.with_name("gcps.vrt")
+    with quiet():
+        # GDAL writes the reference to the source into the VRT; only the control points are ours.
+        copy(str(source.resolve()), str(vrt), driver="VRT")
+        with rasterio.open(vrt, "r+") as dataset:
+            dataset.gcps = (points, CRS.from_user_input(crs) if crs else CRS())
+        if vrt != path:
+            copy(str(vrt), str(path), driver="GTiff", tiled="YES", compress="DEFLATE", bigtiff="IF_SAFER")
+            vrt.unlink()

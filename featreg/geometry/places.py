@@ -1,0 +1,140 @@
+"""How well tie points determine a model where neighbours share their errors: all that lie in one place count as one."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from featreg.geometry.matrix import Rigid
+from featreg.geometry.uncertainty import RigidUncertainty, prediction_covariance, regional_covariance
+from featreg.interfaces import FailedFit, Model
+from featreg.types import FloatArray, IntArray
+
+#: Side of the square cells in which tie points share their errors, px: that of the correlated patches, which overlap.
+PLACE_PX = 96.0
+#: Where between the longest residual that was kept and the next one the limit of the selection is taken to lie.
+CUT_SHARE = 0.3
+#: Largest standard deviation that a selection tells of, over its limit.
+WIDEST = 2.0
+# Far beyond any image, px: there, an error of the shift is nothing beside one of the rotation.
+FAR = 1e7
+
+
+def places(xy: FloatArray) -> IntArray:
+    """Return the number of the cell of 96 px in which each of (M, 2) points lies, (M,) int64."""
+    x, y = np.floor(xy / PLACE_PX).astype(np.int64).T
+    return np.asarray(y * (1 << 24) + x)
+
+
+def dilution(model: Model, reference_xy: FloatArray, secondary_xy: FloatArray, *, at: ArrayLike) -> float:
+    """Return the error of a model over points, root mean square, for an error of one pixel per place of its tie points.
+
+    Parameters
+    ----------
+    model : fitted to these tie points
+    reference_xy, secondary_xy : (M, 2) float64 px
+    at : (N, 2) reference points, such as a grid over the image
+
+    Returns
+    -------
+    float, no unit; NaN where the places are too few for the model
+
+    Raises
+    ------
+    InputError
+        A model without known derivatives.
+
+    Notes
+    -----
+    It depends only on where the tie points lie, not on how well they agree: errors that a whole place has in common
+    (layover, a structure seen from another side) leave no residual where the places are few.
+    """
+    if not len(reference_xy):
+        return math.nan
+    _, place = np.unique(places(reference_xy), return_inverse=True)
+    count = np.bincount(place)
+    here, there = (
+        np.column_stack([np.bincount(place, xy[:, i]) / count for i in (0, 1)]) for xy in (reference_xy, secondary_xy)
+    )
+    covariance = prediction_covariance(model, here, there, at=at, sigma=1.0)
+    if isinstance(covariance, FailedFit):
+        return math.nan
+    return float(np.sqrt(np.trace(covariance, axis1=1, axis2=2).mean()))
+
+
+def rigid_standard_errors(
+    model: Rigid,
+    reference_xy: FloatArray,
+    secondary_xy: FloatArray,
+    weights: FloatArray | None = None,
+    *,
+    at: ArrayLike,
+    cut: float = math.inf,
+) -> RigidUncertainty | FailedFit:
+    """Return the standard errors of a rigid model whose tie points were selected and share errors with neighbours.
+
+    Parameters
+    ----------
+    model : fitted to these tie points
+    reference_xy, secondary_xy : (M, 2) float64 px, the tie points that were kept
+    weights : (M,) relative inverse variances, as in the fit; None for equal ones
+    at : (x, y) reference point at which the shift is judged
+    cut : residual in pixels beyond which tie points were left out; inf where none was for its residual
+
+    Returns
+    -------
+    The standard errors, or a `FailedFit` where fewer than three places hold tie points. `dof` is the number of places
+    less one; intervals take Student's t of that many.
+
+    Notes
+    -----
+    The jackknife over places counts what neighbours share. Selection by residuals makes those of the rest too small
+    and the fit too sure: with Gaussian errors of standard deviation sigma cut off at length c and u = c^2 / (2 sigma^2)
+    the mean square of what is left is ``2 sigma^2 (1 - (1 + u) exp(-u)) / (1 - exp(-u))`` = 2 m, and the variance of
+    an estimate that rests on them is (sigma^2 / m)^2 times the one they show (that of an M-estimate with hard
+    rejection). sigma is solved for.
+    """
+    centre = np.asarray(at, np.float64)
+    points = np.array([centre, centre + [FAR, 0.0]])
+    covariance = regional_covariance(model, reference_xy, secondary_xy, places(reference_xy), weights, at=points)
+    if isinstance(covariance, FailedFit):
+        return covariance
+    squares = model.residuals(reference_xy, secondary_xy) ** 2
+    shown = float(squares.sum()) / max(2 * len(squares) - 3, 1)
+    wider = _variance_before_selection(shown, cut) / shown if shown > 0 else 1.0
+    sx, sy = (wider * math.sqrt(value) for value in np.diag(covariance[0]).tolist())
+    rotation = wider * math.sqrt(float(np.trace(covariance[1]))) / FAR
+    dof = len(np.unique(places(reference_xy))) - 1
+    return RigidUncertainty(math.degrees(rotation), (sx, sy), math.sqrt(wider * shown), dof)
+
+
+def selection_cut(kept: FloatArray, others: FloatArray) -> float:
+    """Return the residual beyond which tie points were left out, px; inf where no longer one was.
+
+    Parameters
+    ----------
+    kept, others : (M,), (K,) float64 px, residuals of the tie points that were kept and of those that were not
+    """
+    longest = float(kept.max(initial=0.0))
+    beyond = others[others > longest]
+    return longest + CUT_SHARE * (float(beyond.min()) - longest) if len(beyond) else math.inf
+
+
+def _variance_before_selection(shown: float, cut: float) -> float:
+    """Variance per axis of Gaussian errors of which those shorter than `cut` show the variance `shown`."""
+    if not math.isfinite(cut):
+        return shown
+
+    def left(variance: float) -> float:
+        u = cut * cut / (2 * variance)
+        return variance * (1 - (1 + u) * math.exp(-u)) / -math.expm1(-u)
+
+    # What is left grows with the variance towards a quarter of the squared cut, that of errors that fill the circle, and
+    # tells nothing of it there.
+    low, high = shown, max(shown, (WIDEST * cut) ** 2)
+    for _ in range(40):
+        middle = (low + high) / 2
+        low, high = (middle, high) if left(middle) < shown else (low, middle)
+    return high

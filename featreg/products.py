@@ -1,0 +1,307 @@
+"""Products from file to file: the secondary on the reference grid, in windows, with bounded memory.
+
+Windows go in order into a plain tiled TIFF, which is then copied to a cloud-optimised GeoTIFF and renamed into place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from threading import Event
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from featreg._version import __version__
+from featreg.errors import InputError, ParameterError, suggest
+from featreg.interfaces import Model
+from featreg.lattice import Lattice, lattice_of
+from featreg.product_files import Runner, bounded_cache, cloud_optimised, rasterio_window, tiled_tiff
+from featreg.product_grid import Grid, grid_model, recorded, reference_grid
+from featreg.product_samples import Encoding, encoding_of
+from featreg.raster_source import RasterSource, Window
+from featreg.readers import gdal_dataset, quiet
+from featreg.resample import TAPS, Support
+from featreg.sar.coherence import coherence as coherence_of
+from featreg.sar.coherence import window_size
+from featreg.sar.phase_ramp import PhaseRamp, estimate_phase_ramp
+from featreg.types import BoolArray, Registration
+from featreg.writers import refuse_input, replacing
+
+#: Most pixels of the secondary that one output window reads.
+MOST_READ = 3 << 20
+
+
+@dataclass(frozen=True)
+class Product:
+    """What `warp_file` wrote.
+
+    Parameters
+    ----------
+    path : of the GeoTIFF
+    shape : (H, W)
+    dtype, nodata : of its samples; complex samples have no nodata value, they are nan+nanj
+    bands : numbers of the secondary's bands it holds, in order
+    georeferenced : whether it has the reference's georeferencing
+    valid : share of pixels that are data in the first band
+    ramp : the phase ramp that was taken out for the interpolation, if asked for
+    coherence : mean coherence with the reference over the scene, if asked for
+    """
+
+    path: Path
+    shape: tuple[int, int]
+    dtype: str
+    nodata: float | None
+    bands: tuple[int, ...]
+    georeferenced: bool
+    valid: float
+    ramp: PhaseRamp | None = None
+    coherence: float | None = None
+
+
+def warp_file(
+    registration: Registration | str | Path,
+    secondary: str | Path,
+    output: str | Path,
+    *,
+    like: str | Path | tuple[int, int] | None = None,
+    resampling: str = "lanczos",
+    band: int | None = None,
+    scale: str | None = None,
+    nodata: float | None = None,
+    secondary_scale: float | tuple[float, float] | None = None,
+    deramp: bool = False,
+    coherence: str | Path | None = None,
+    coherence_window: int | tuple[int, int] = 5,
+    workers: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    cancel: Event | None = None,
+) -> Product:
+    """Write the secondary on the reference grid as a cloud-optimised GeoTIFF, scenes of any size in bounded memory.
+
+    Parameters
+    ----------
+    registration : the result, or its JSON file; its model is used even when it is not trusted (a warning is logged)
+    secondary : the secondary's file, or another file of the same footprint: more bands, another pixel size
+    output : GeoTIFF to write, replaced if it exists; the file appears whole or not at all
+    like : the reference, or a file of its footprint with another pixel size, or (H, W); default: the path in the result
+    resampling : "nearest", "bilinear", "cubic" or "lanczos"
+    band : the one band to warp, from 1; None for all
+    scale : what real samples are: "amplitude", "intensity" or "db"; default: as in the result, else told from them
+    nodata : value of samples without data; default: the file's own
+    secondary_scale : pixels of this file per pixel of the secondary that was matched (one number, or along x and along
+        y); default: told from georeferencing where both files have it, else from the sizes
+    deramp : estimate the phase ramp of complex samples (TOPS), interpolate without it and put it back
+    coherence : GeoTIFF to write the coherence with the reference to; both images must be complex
+    coherence_window : of `featreg.coherence`
+    workers : threads; default: one per core, at most 8
+    progress : called with (windows done, windows in all)
+    cancel : an event that stops the work
+
+    Returns
+    -------
+    Product
+
+    Raises
+    ------
+    InputError
+        No model, an unreadable file, another footprint, an output that is an input or cannot be written.
+    ParameterError
+        An unknown resampling, a band that the file lacks, `deramp` or `coherence` without complex samples.
+    CancelledError
+        `cancel` was set.
+
+    Notes
+    -----
+    The product holds the user's own values: the dtype, the scale and the value for no data of the file
+    (`featreg.product_samples.Encoding`). Intensity and decibels are interpolated as amplitude and turned back.
+    Overviews are averages, of complex samples every n-th.
+    """
+    if isinstance(registration, str | Path):
+        registration = Registration.from_json(registration)
+    if resampling not in TAPS:
+        raise ParameterError(f"unknown resampling '{resampling}', {suggest(resampling, TAPS)}")
+    secondary, output = str(secondary), Path(output)
+    grid = reference_grid(registration, like)
+    inputs = [secondary, grid.path, like if not isinstance(like, tuple) else None]
+    window_size(coherence_window)
+    if coherence is not None and Path(coherence).absolute() == output.absolute():
+        raise InputError(f"{coherence}: is also the output, the coherence needs a file of its own")
+    for target in (output, coherence):
+        if target is not None:
+            refuse_input(Path(target), inputs)
+    scale = _recorded_scale(registration, secondary) if scale is None else scale
+    sources = _sources(secondary, band, scale, nodata)
+    wanted = (secondary_scale,) * 2 if isinstance(secondary_scale, int | float) else secondary_scale
+    model = grid_model(registration, grid, sources[0], wanted)
+    if (deramp or coherence is not None) and not sources[0].is_complex:
+        raise ParameterError(f"{secondary}: holds {sources[0].dtype} samples, deramp and coherence need complex ones")
+    partner = None if coherence is None else _partner(grid)
+    ramp = _ramp(sources[0]) if deramp else None
+    encodings = [encoding_of(source) for source in sources]
+    encodings = [replace(e, dtype=encodings[0].dtype, nodata=encodings[0].nodata) for e in encodings]
+    job = _Job(tuple(sources), tuple(encodings), model, resampling, ramp)
+    runner = Runner(workers, progress, cancel)
+    tags = {
+        "TIFFTAG_SOFTWARE": f"featreg {__version__}",
+        "FEATREG_STATUS": registration.status,
+        "FEATREG_METHOD": str(registration.provenance.get("method", "")),
+        "FEATREG_RESAMPLING": resampling,
+    }
+    first = encodings[0]
+    flat = resampling == "nearest" or first.dtype == "complex64"
+    good, mean = 0, None
+    with replacing(output, inputs=inputs) as target, quiet(), bounded_cache():
+        plain = target.with_name("plain.tif")
+        with tiled_tiff(plain, grid, first, len(sources), tags, encodings) as dataset:
+            for window, (arrays, count) in runner.run(job.render, grid.shape):
+                dataset.write(arrays, window=rasterio_window(window))
+                good += count
+        if coherence is not None and partner is not None:
+            mean = _write_coherence(plain, partner, Path(coherence), grid, coherence_window, runner, tags, inputs)
+        cloud_optimised(plain, target, "NEAREST" if flat else "AVERAGE", first.dtype, runner.workers)
+        plain.unlink()
+    numbers = tuple(max(source.band, 1) for source in sources)
+    share = good / (grid.shape[0] * grid.shape[1])
+    located = grid.geolocation is not None
+    return Product(output, grid.shape, first.dtype, first.nodata, numbers, located, share, ramp, mean)
+
+
+@dataclass(frozen=True, eq=False)
+class _Job:
+    """What one window needs."""
+
+    sources: tuple[RasterSource, ...]
+    encodings: tuple[Encoding, ...]
+    model: Model
+    resampling: str
+    ramp: PhaseRamp | None
+
+    def render(self, window: Window) -> tuple[NDArray[Any], int]:
+        """Return the numbers (bands, h, w) of a window and how many pixels of its first band are data."""
+        lattice = lattice_of(self.model, window.x, window.y, window.shape)
+        box = self._box(lattice)
+        if box is not None and box.width * box.height > MOST_READ and min(window.shape) > 32:
+            return self._by_parts(window)
+        bands, good = [], 0
+        for k, (source, encoding) in enumerate(zip(self.sources, self.encodings, strict=True)):
+            values, mask = self._sampled(source, lattice, box)
+            good += int(mask.sum()) if k == 0 else 0
+            bands.append(encoding.encode(values, mask))
+        return np.stack(bands), good
+
+    def _by_parts(self, window: Window) -> tuple[NDArray[Any], int]:
+        """A window that shows much of the secondary, a quarter at a time."""
+        half_h, half_w = window.height // 2, window.width // 2
+        rows = ((window.y, half_h), (window.y + half_h, window.height - half_h))
+        cols = ((window.x, half_w), (window.x + half_w, window.width - half_w))
+        parts = [[self.render(Window(x, y, w, h)) for x, w in cols] for y, h in rows]
+        whole = np.concatenate([np.concatenate([p[0] for p in line], axis=2) for line in parts], axis=1)
+        return whole, sum(p[1] for line in parts for p in line)
+
+    def _box(self, lattice: Lattice) -> Window | None:
+        """The pixels of the secondary that a window rests on."""
+        bounds = lattice.bounds()
+        if bounds is None:
+            return None
+        height, width = self.sources[0].shape
+        margin = TAPS[self.resampling] // 2 + 1
+        left, top = (int(np.floor(np.clip(b, -1e9, 1e9))) - margin for b in bounds[:2])
+        right, bottom = (int(np.ceil(np.clip(b, -1e9, 1e9))) + margin for b in bounds[2:])
+        return Window(left, top, right - left + 1, bottom - top + 1).within((height, width))
+
+    def _sampled(self, source: RasterSource, lattice: Lattice, box: Window | None) -> tuple[NDArray[Any], BoolArray]:
+        if box is None:
+            kind = np.complex64 if source.is_complex else np.float32
+            return np.zeros(lattice.shape, kind), np.zeros(lattice.shape, np.bool_)
+        image = source.read(box)
+        pixels: NDArray[Any] = image.pixels
+        if self.ramp is not None:
+            x, y = np.arange(box.x, box.x + box.width), np.arange(box.y, box.y + box.height)
+            pixels = pixels * self.ramp.factor(x, y[:, None], -1)
+        values, mask = Support(pixels, image.mask, self.resampling).sample(lattice.moved(-box.x, -box.y))
+        if self.ramp is not None:
+            values = values * np.where(mask, self.ramp.factor(*lattice.positions(), 1), 0)
+        return (values if image.is_complex else np.maximum(values, 0)), mask
+
+
+def _sources(secondary: str, band: int | None, scale: str | None, nodata: float | None) -> list[RasterSource]:
+    from rasterio.enums import ColorInterp
+
+    numbers: Sequence[int] = [0]
+    with gdal_dataset(secondary) as dataset:
+        if dataset is not None:
+            numbers = [k + 1 for k, colour in enumerate(dataset.colorinterp) if colour != ColorInterp.alpha]
+            kinds = {dataset.dtypes[k - 1] for k in numbers}
+            if band is None and len(kinds) > 1:
+                raise InputError(
+                    f"{secondary}: its bands are of several dtypes ({', '.join(sorted(kinds))}); give one band"
+                )
+    if band is not None and band not in (numbers if numbers[0] else [1]):
+        listed = ", ".join(str(max(n, 1)) for n in numbers)
+        raise ParameterError(f"{secondary}: has band {listed}, band {band} was asked for")
+    # A palette or a file that is read whole has one band, which must not be asked for by number.
+    alone = len(numbers) == 1
+    chosen = [0] if alone else (numbers if band is None else [band])
+    return [RasterSource(secondary, scale, nodata, number) for number in chosen]
+
+
+def _recorded_scale(registration: Registration, secondary: str) -> str | None:
+    known = recorded(registration, "secondary")
+    same = known.get("path") == secondary and known.get("scale") in ("amplitude", "intensity", "db")
+    return str(known["scale"]) if same else None
+
+
+def _partner(grid: Grid) -> RasterSource:
+    if grid.path is None:
+        raise InputError("the coherence needs the reference image; give its file as like")
+    source = RasterSource(grid.path)
+    if not source.is_complex:
+        raise InputError(f"{grid.path}: the reference holds {source.dtype} samples, coherence needs complex ones")
+    return source
+
+
+def _ramp(source: RasterSource) -> PhaseRamp:
+    def read(x: int, y: int, width: int, height: int) -> tuple[NDArray[Any], BoolArray]:
+        image = source.read(Window(x, y, width, height))
+        return image.pixels, image.mask
+
+    try:
+        return estimate_phase_ramp(read, source.shape)
+    except InputError as error:
+        raise InputError(f"{source.path}: {error}") from error
+
+
+def _write_coherence(
+    aligned: Path,
+    reference: RasterSource,
+    output: Path,
+    grid: Grid,
+    side: int | tuple[int, int],
+    runner: Runner,
+    tags: dict[str, str],
+    inputs: list[Any],
+) -> float:
+    """Write the coherence of an aligned product with the reference; return its mean."""
+    other = RasterSource(str(aligned))
+    margin = max(window_size(side)) // 2 + 1
+
+    def work(window: Window) -> NDArray[np.float32]:
+        around = window.grown(margin)
+        found = coherence_of(reference.read(around), other.read(around), window=side)
+        return found[margin:-margin, margin:-margin]
+
+    total, count = 0.0, 0
+    with replacing(output, inputs=inputs) as target:
+        plain = target.with_name("plain.tif")
+        first = Encoding("float32", float("nan"), "amplitude")
+        with tiled_tiff(plain, grid, first, 1, tags | {"FEATREG_PRODUCT": "coherence"}) as dataset:
+            for window, values in runner.run(work, grid.shape):
+                dataset.write(values, 1, window=rasterio_window(window))
+                known = np.isfinite(values)
+                total, count = total + float(values[known].sum(dtype=np.float64)), count + int(known.sum())
+        cloud_optimised(plain, target, "AVERAGE", "float32", runner.workers)
+        plain.unlink()
+    return total / count if count else float("nan")

@@ -1,0 +1,57 @@
+"""What the result of a scene records: its inputs, and a row for each block."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from featreg.raster_source import Source
+from featreg.scene.blocks import Block
+from featreg.scene.task import BlockResult, survivors
+from featreg.types import IntArray
+
+
+def block_table(blocks: Sequence[Block], results: Sequence[BlockResult], owners: IntArray) -> dict[str, list[Any]]:
+    """One row a block, in columns."""
+    final = np.bincount(owners, minlength=len(blocks))
+    by_index = {r.index: r for r in results}
+    ordered = [by_index[block.index] for block in blocks]
+    return {
+        "row": [b.row for b in blocks],
+        "col": [b.col for b in blocks],
+        "x": [b.window.x for b in blocks],
+        "y": [b.window.y for b in blocks],
+        "width": [b.window.width for b in blocks],
+        "height": [b.window.height for b in blocks],
+        "status": [r.status for r in ordered],
+        "reason": [r.reason for r in ordered],
+        "putative": [len(r.matches) for r in ordered],
+        "kept": [int(survivors(r).sum()) for r in ordered],
+        "refined": [len(r.refined) for r in ordered],
+        "final": final.tolist(),
+    }
+
+
+def seconds_of(results: Sequence[BlockResult]) -> dict[str, float]:
+    """Seconds of all blocks computed now together, by stage."""
+    total: dict[str, float] = {}
+    for result in results:
+        for name, seconds in result.seconds.items():
+            total[name] = total.get(name, 0.0) + seconds
+    return total
+
+
+def inputs_of_sources(reference: Source, secondary: Source) -> dict[str, Any]:
+    """What the result records of its two scenes."""
+    return {
+        role: {
+            "path": source.name,
+            "width": source.shape[1],
+            "height": source.shape[0],
+            "scale": source.known_scale,
+            "dtype": source.dtype,
+        }
+        for role, source in (("reference", reference), ("secondary", secondary))
+    }

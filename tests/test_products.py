@@ -1,0 +1,533 @@
+"""Products from file to file: the same pixels as in memory, the user's own values, in windows, whole or not at all."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import featreg
+from featreg.errors import CancelledError, InputError, ParameterError
+from featreg.geometry import Affine, Homography
+from featreg.interfaces import FailedFit
+from featreg.io import as_image, write_geotiff
+from featreg.lattice import OtherGrids, lattice_of, resized
+from featreg.product_files import WINDOW
+from featreg.products import Product, warp_file
+from featreg.resample import resample
+from featreg.sar.coherence import coherence, expected_coherence
+from featreg.sar.phase_ramp import PhaseRamp, estimate_phase_ramp
+from featreg.types import Geolocation, Matches, Registration
+from featreg.writers import replacing
+
+rasterio = pytest.importorskip("rasterio")
+pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+
+PLACE = Geolocation((10.0, 0.0, 5e5, 0.0, -10.0, 6e6), "EPSG:32632")
+MOVE = Affine(np.array([[0.99, 0.03, 4.3], [-0.03, 1.01, 7.6]]))
+SHAPE = (300, 340)
+
+
+def texture(height: int, width: int, *, seed: int = 0) -> NDArray[np.float32]:
+    import cv2
+
+    noise = np.random.default_rng(seed).normal(size=(height, width)).astype(np.float32)
+    smooth = cv2.GaussianBlur(noise, (0, 0), 2.0)
+    return np.asarray(100.0 + 300.0 * np.abs(smooth), np.float32)
+
+
+def band_limited(side: int, seed: int, width: float = 0.3) -> NDArray[np.complex64]:
+    """Circular complex noise whose spectrum ends at `width` cycles per sample."""
+    rng = np.random.default_rng(seed)
+    spectrum = np.fft.fft2(rng.normal(size=(side, side)) + 1j * rng.normal(size=(side, side)))
+    f = np.abs(np.fft.fftfreq(side))
+    spectrum[f > width] = 0
+    spectrum[:, f > width] = 0
+    return np.fft.ifft2(spectrum).astype(np.complex64)
+
+
+def registration(
+    folder: Path, model: Any = MOVE, size: tuple[int, int] = SHAPE, scale: str = "amplitude", status: str = "ok"
+) -> Registration:
+    paths = {"reference": folder / "ref.tif", "secondary": folder / "sec.tif"}
+    inputs = {
+        role: {"path": str(path), "width": size[1], "height": size[0], "scale": scale} for role, path in paths.items()
+    }
+    reason = "" if status == "ok" else "made up"
+    return Registration(
+        Matches.empty(), {}, np.zeros(0, bool), model, status, reason, provenance={"inputs": inputs, "method": "m"}
+    )
+
+
+def files(
+    folder: Path, samples: NDArray[Any], *, place: Geolocation | None = PLACE, nodata: float | None = None
+) -> None:
+    write_geotiff(folder / "ref.tif", texture(samples.shape[0], samples.shape[1], seed=5), place)
+    write_geotiff(folder / "sec.tif", samples, nodata=nodata)
+
+
+def write(path: Path, bands: NDArray[Any], **profile: Any) -> Path:
+    count, height, width = bands.shape
+    profile = {"driver": "GTiff", "dtype": bands.dtype.name, **profile}
+    with rasterio.open(path, "w", height=height, width=width, count=count, **profile) as dataset:
+        dataset.write(bands)
+    return path
+
+
+def read(path: Path) -> tuple[NDArray[Any], Any]:
+    with rasterio.open(path) as dataset:
+        return dataset.read(), dataset.profile | {"tags": dataset.tags(), "image": dataset.tags(ns="IMAGE_STRUCTURE")}
+
+
+# grid and values
+
+
+@pytest.mark.parametrize("resampling", ["nearest", "bilinear", "cubic", "lanczos"])
+def test_the_file_holds_what_warp_returns(tmp_path: Path, resampling: str) -> None:
+    shape = (WINDOW + 70, 200)
+    files(tmp_path, texture(*shape))
+    reg = registration(tmp_path, size=shape)
+    made = warp_file(reg, tmp_path / "sec.tif", tmp_path / "out.tif", resampling=resampling)
+    assert isinstance(made, Product)
+    assert (made.shape, made.dtype, made.bands, made.georeferenced) == (shape, "float32", (1,), True)
+    whole = featreg.warp(reg, tmp_path / "sec.tif", resampling=resampling)
+    written = read(tmp_path / "out.tif")[0][0]
+    # Positions in a window are counted from its own origin: the same but for rounding, which half a pixel feels.
+    same = np.isclose(written, whole, rtol=2e-5, equal_nan=True)
+    assert same.all() if resampling != "nearest" else same.mean() > 0.999
+    assert made.valid == pytest.approx(np.isfinite(whole).mean())
+
+
+def test_it_is_a_cloud_optimised_geotiff_in_the_references_place(tmp_path: Path) -> None:
+    files(tmp_path, texture(1200, 1100).astype(np.uint16), nodata=0)
+    made = warp_file(registration(tmp_path, size=(1200, 1100)), tmp_path / "sec.tif", tmp_path / "out.tif")
+    written, profile = read(tmp_path / "out.tif")
+    assert profile["image"]["LAYOUT"] == "COG"
+    assert profile["tiled"]
+    assert profile["crs"].to_epsg() == 32632
+    assert tuple(profile["transform"])[:6] == PLACE.transform
+    assert (made.dtype, profile["dtype"], profile["nodata"], made.nodata) == ("uint16", "uint16", 0, 0)
+    assert profile["tags"]["FEATREG_STATUS"] == "ok"
+    with rasterio.open(tmp_path / "out.tif") as dataset:
+        assert dataset.overviews(1) == [2, 4]
+    valid = resample(as_image(tmp_path / "sec.tif"), MOVE, (1200, 1100)).mask
+    np.testing.assert_array_equal(written[0] != 0, valid)
+    assert not list(tmp_path.glob(".*"))
+
+
+@pytest.mark.parametrize(
+    "place",
+    [
+        Geolocation(gcps=np.array([[0, 0, 10, 50, 5], [339, 0, 11, 50, 5], [0, 299, 10, 49, 5.0]]), crs="EPSG:4326"),
+        Geolocation(
+            rpcs={
+                "line_off": 1.0, "samp_off": 2.0, "line_scale": 3.0, "samp_scale": 4.0, "lat_off": 5.0,
+                "lat_scale": 1.0, "long_off": 7.0, "long_scale": 1.0, "height_off": 9.0, "height_scale": 1.0,
+                "line_num_coeff": [0.0, 0, 1] + [0.0] * 17, "line_den_coeff": [1.0] + [0.0] * 19,
+                "samp_num_coeff": [0.0, 1] + [0.0] * 18, "samp_den_coeff": [1.0] + [0.0] * 19,
+                "err_bias": 1.0, "err_rand": 1.0,
+            }
+        ),
+    ],
+    ids=["gcps", "rpcs"],
+)  # fmt: skip
+def test_rpcs_and_gcps_of_the_reference_go_along(tmp_path: Path, place: Geolocation) -> None:
+    files(tmp_path, texture(*SHAPE), place=place)
+    warp_file(registration(tmp_path), tmp_path / "sec.tif", tmp_path / "out.tif")
+    found = as_image(tmp_path / "out.tif").geolocation
+    assert found is not None
+    if place.gcps is not None:
+        assert found.gcps is not None
+        np.testing.assert_allclose(found.gcps, place.gcps)
+    else:
+        assert found.rpcs is not None
+        assert found.rpcs["samp_off"] == 2.0
+        assert list(found.rpcs["samp_num_coeff"])[:3] == [0, 1, 0]
+
+
+@pytest.mark.parametrize(
+    ("dtype", "nodata", "expected"),
+    [
+        ("uint8", None, ("uint8", 0)), ("uint16", 7, ("uint16", 7)), ("int16", None, ("int16", -32768)),
+        ("int32", 0, ("int32", 0)), ("float32", -99, ("float32", -99)), ("float64", None, ("float32", None)),
+        ("uint64", None, ("float32", None)),
+    ],
+)  # fmt: skip
+def test_samples_keep_dtype_and_nodata(
+    tmp_path: Path, dtype: str, nodata: float | None, expected: tuple[str, float | None]
+) -> None:
+    samples = np.clip(texture(*SHAPE) - 90, 8, 250).astype(dtype)
+    files(tmp_path, samples, nodata=nodata)
+    made = warp_file(registration(tmp_path, Affine(np.eye(3)[:2])), tmp_path / "sec.tif", tmp_path / "out.tif")
+    written, profile = read(tmp_path / "out.tif")
+    assert profile["dtype"] == made.dtype == expected[0]
+    np.testing.assert_array_equal(written[0], samples.astype(expected[0]))
+    assert np.isnan(profile["nodata"]) if expected[1] is None else profile["nodata"] == expected[1]
+
+
+def test_a_valid_sample_never_becomes_nodata(tmp_path: Path) -> None:
+    samples = np.full(SHAPE, 40, np.uint8)
+    samples[100:200, 100:200] = 0  # data: the file names no value for none
+    samples[150, 150] = 255
+    files(tmp_path, samples)
+    made = warp_file(registration(tmp_path), tmp_path / "sec.tif", tmp_path / "out.tif")
+    valid = resample(as_image(tmp_path / "sec.tif"), MOVE, SHAPE).mask
+    np.testing.assert_array_equal(read(tmp_path / "out.tif")[0][0] != made.nodata, valid)
+
+
+@pytest.mark.parametrize("scale", ["intensity", "db"])
+def test_intensity_and_decibels_come_back_as_they_were(tmp_path: Path, scale: str) -> None:
+    amplitude = texture(*SHAPE)
+    samples = amplitude**2 if scale == "intensity" else 20 * np.log10(amplitude) - 70
+    files(tmp_path, samples.astype(np.float32))
+    warp_file(registration(tmp_path, scale=scale), tmp_path / "sec.tif", tmp_path / "out.tif", resampling="cubic")
+    written = read(tmp_path / "out.tif")[0][0]
+    image = resample(as_image(tmp_path / "sec.tif", scale=scale), MOVE, SHAPE, resampling="cubic")
+    wanted = image.pixels**2 if scale == "intensity" else 20 * np.log10(np.where(image.mask, image.pixels, 1))
+    np.testing.assert_allclose(written[image.mask], wanted[image.mask], rtol=1e-4)
+    assert np.isnan(written[~image.mask]).all()
+
+
+def test_the_files_own_scale_and_offset_stay(tmp_path: Path) -> None:
+    raw = texture(*SHAPE).astype(np.uint16)
+    write_geotiff(tmp_path / "ref.tif", raw)
+    path = write(tmp_path / "sec.tif", raw[None], nodata=0)
+    with rasterio.open(path, "r+") as dataset:
+        dataset.scales, dataset.offsets = [0.5], [3.0]
+    warp_file(registration(tmp_path, Affine(np.eye(3)[:2])), path, tmp_path / "out.tif")
+    with rasterio.open(tmp_path / "out.tif") as dataset:
+        assert (dataset.scales, dataset.offsets) == ((0.5,), (3.0,))
+        np.testing.assert_array_equal(dataset.read(1), raw)
+
+
+def test_bands(tmp_path: Path) -> None:
+    bands = np.stack([texture(*SHAPE, seed=k) for k in (0, 1, 2)]).astype(np.uint16)
+    write_geotiff(tmp_path / "ref.tif", texture(*SHAPE))
+    path = write(tmp_path / "sec.tif", bands, nodata=0)
+    made = warp_file(registration(tmp_path), path, tmp_path / "all.tif")
+    assert made.bands == (1, 2, 3)
+    every = read(tmp_path / "all.tif")[0]
+    assert every.shape == (3, *SHAPE)
+    for number in (1, 3):
+        assert warp_file(registration(tmp_path), path, tmp_path / "one.tif", band=number).bands == (number,)
+        np.testing.assert_array_equal(read(tmp_path / "one.tif")[0][0], every[number - 1])
+    with pytest.raises(ParameterError, match="has band 1, 2, 3, band 4 was asked for"):
+        warp_file(registration(tmp_path), path, tmp_path / "one.tif", band=4)
+
+
+def test_any_number_of_workers_gives_the_same_file(tmp_path: Path) -> None:
+    files(tmp_path, texture(WINDOW + 100, WINDOW + 40).astype(np.uint16))
+    reg = registration(tmp_path, size=(WINDOW + 100, WINDOW + 40))
+    for workers in (1, 3):
+        warp_file(reg, tmp_path / "sec.tif", tmp_path / f"{workers}.tif", workers=workers)
+    np.testing.assert_array_equal(read(tmp_path / "1.tif")[0], read(tmp_path / "3.tif")[0])
+
+
+def test_a_window_that_shows_much_of_the_secondary_is_read_in_parts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files(tmp_path, texture(*SHAPE).astype(np.uint16))
+    warp_file(registration(tmp_path), tmp_path / "sec.tif", tmp_path / "a.tif")
+    monkeypatch.setattr("featreg.products.MOST_READ", 5000)
+    warp_file(registration(tmp_path), tmp_path / "sec.tif", tmp_path / "b.tif")
+    a, b = (read(tmp_path / name)[0].astype(int) for name in ("a.tif", "b.tif"))
+    assert np.abs(a - b).max() <= 1
+
+
+def test_beyond_the_width_that_opencv_takes(tmp_path: Path) -> None:
+    wide = np.tile(texture(40, 1000), (1, 34)).astype(np.uint16)
+    wide[:, 33500] = 1000
+    files(tmp_path, wide)
+    reg = registration(tmp_path, Affine(np.array([[1.0, 0, 5], [0, 1, 2]])), wide.shape)
+    warp_file(reg, tmp_path / "sec.tif", tmp_path / "out.tif")
+    written = read(tmp_path / "out.tif")[0][0]
+    np.testing.assert_array_equal(written[:-2, :-5], wide[2:, 5:])
+
+
+# other pixel sizes
+
+
+def test_positions_between_nodes_are_those_of_the_model() -> None:
+    model = Homography(np.array([[1.01, 0.02, 5], [-0.03, 0.98, 8], [2e-6, -1e-6, 1]]))
+    lattice = lattice_of(model, 4000, 7000, (300, 500))
+    assert lattice.step > 1
+    x, y = lattice.positions()
+    rows, cols = np.mgrid[7000:7300, 4000:4500]
+    exact = model(np.column_stack([cols.ravel(), rows.ravel()]).astype(float))
+    assert np.abs(x.ravel() - exact[:, 0]).max() < 1e-4
+    assert np.abs(y.ravel() - exact[:, 1]).max() < 1e-4
+    bent = Homography(np.array([[1.0, 0, 0], [0, 1, 0], [1e-3, 0, 1]]))
+    assert lattice_of(bent, 0, 0, (100, 100)).step == 1
+    assert lattice_of(lambda xy: xy, 0, 0, (100, 100)).step == 1
+
+
+def test_the_half_pixel_of_other_grids() -> None:
+    model = Affine(np.array([[1.0, 0, 10], [0, 1, 20]]))
+    double = OtherGrids(model, resized((1, 1)), resized((2, 2)))
+    assert double(np.array([[0.0, 0.0]])).tolist() == [[20.5, 40.5]]
+    np.testing.assert_allclose(double.inverse(double(np.array([[3.0, 4.0]]))), [[3, 4]])
+
+
+@pytest.mark.parametrize("factor", [2, 3])
+def test_one_fit_serves_a_file_with_smaller_pixels(tmp_path: Path, factor: int, caplog: Any) -> None:
+    files(tmp_path, texture(*SHAPE))
+    reg = registration(tmp_path)
+    whole = featreg.warp(reg, tmp_path / "sec.tif", resampling="bilinear")
+    fine = np.kron(read(tmp_path / "sec.tif")[0][0], np.ones((factor, factor), np.float32))
+    write_geotiff(tmp_path / "fine.tif", fine)
+    warp_file(reg, tmp_path / "fine.tif", tmp_path / "out.tif", resampling="bilinear")
+    assert f"{factor} times as many pixels" in caplog.text
+    out = read(tmp_path / "out.tif")[0][0]
+    both = np.isfinite(out) & np.isfinite(whole)
+
+    # Blocks of equal pixels: no shift between the two, only less smoothing.
+    def mean_shift(axis: int) -> float:
+        slope = np.gradient(whole, axis=axis)
+        good = both & np.isfinite(slope)
+        return float((slope[good] * (out - whole)[good]).sum() / (slope[good] ** 2).sum())
+
+    assert abs(mean_shift(0)) < 0.02
+    assert abs(mean_shift(1)) < 0.02
+    stated = warp_file(reg, tmp_path / "fine.tif", tmp_path / "b.tif", secondary_scale=factor, resampling="bilinear")
+    np.testing.assert_array_equal(read(tmp_path / "b.tif")[0][0], out)
+    assert stated.shape == SHAPE
+
+
+def test_georeferencing_tells_the_pixel_size_and_the_corner(tmp_path: Path) -> None:
+    samples = texture(*SHAPE)
+    write_geotiff(tmp_path / "ref.tif", samples)
+    write_geotiff(tmp_path / "sec.tif", samples, PLACE)
+    a, b, c, d, e, f = (10.0, 0.0, 5e5, 0.0, -10.0, 6e6)
+    write_geotiff(tmp_path / "part.tif", samples[40:, 25:], Geolocation((a, b, c + 250, d, e, f - 400), PLACE.crs))
+    reg = registration(tmp_path)
+    warp_file(reg, tmp_path / "part.tif", tmp_path / "part_out.tif")
+    warp_file(reg, tmp_path / "sec.tif", tmp_path / "out.tif")
+    part, whole = (read(tmp_path / name)[0][0] for name in ("part_out.tif", "out.tif"))
+    both = np.isfinite(part)
+    assert both.mean() > 0.6
+    np.testing.assert_allclose(part[both], whole[both], rtol=1e-5)
+
+
+def test_a_reference_with_other_pixels_is_a_grid_too(tmp_path: Path) -> None:
+    files(tmp_path, texture(*SHAPE))
+    write_geotiff(tmp_path / "half.tif", texture(SHAPE[0] // 2, SHAPE[1] // 2))
+    made = warp_file(registration(tmp_path), tmp_path / "sec.tif", tmp_path / "o.tif", like=tmp_path / "half.tif")
+    assert made.shape == (150, 170)
+    model = OtherGrids(MOVE, resized((2, 2)), resized((1, 1)))
+    wanted = resample(as_image(tmp_path / "sec.tif"), model, (150, 170))
+    np.testing.assert_allclose(read(tmp_path / "o.tif")[0][0][wanted.mask], wanted.pixels[wanted.mask], rtol=1e-5)
+
+
+# complex samples
+
+
+def test_a_complex_file_keeps_its_phase(tmp_path: Path) -> None:
+    samples = band_limited(200, 0)
+    quantised = (samples / np.abs(samples).max() * 3000).round().astype(np.complex64)
+    write_geotiff(tmp_path / "ref.tif", quantised)
+    write(tmp_path / "sec.tif", quantised[None], dtype="complex_int16")
+    made = warp_file(registration(tmp_path, size=(200, 200)), tmp_path / "sec.tif", tmp_path / "out.tif")
+    assert (made.dtype, made.nodata) == ("complex64", None)
+    written = read(tmp_path / "out.tif")[0][0]
+    wanted = resample(as_image(quantised), MOVE, (200, 200))
+    np.testing.assert_allclose(written[wanted.mask], wanted.pixels[wanted.mask], atol=0.05)
+    assert np.isnan(written[~wanted.mask]).all()
+    np.testing.assert_array_equal(as_image(tmp_path / "out.tif").mask, wanted.mask)
+
+
+def chirp(side: int) -> NDArray[np.float64]:
+    """A TOPS-like phase: eight times the sampling rate is swept from the first row to the last."""
+    y, x = np.mgrid[:side, :side].astype(float) - side / 2
+    return np.asarray(8 * np.pi / side * y**2 + 0.3 * y - 0.2 * x + 2e-4 * x * y)
+
+
+def test_deramping_keeps_the_coherence_of_a_chirp(tmp_path: Path) -> None:
+    side, dx, dy = 384, 0.4, 0.5
+    f = np.fft.fftfreq(side)
+    plain = band_limited(side, 1)
+    shifted = np.fft.ifft2(np.fft.fft2(plain) * np.exp(2j * np.pi * (f * dx + f[:, None] * dy)))
+    y, x = np.mgrid[:side, :side]
+    # The reference is the continuous scene, ramp and all, at (x + dx, y + dy): what the aligned image must be.
+    centre = np.array([(side - 1) / 2] * 2)
+    ramp = PhaseRamp(
+        np.array([-30.0, 50, 0, 8, 16 * side / 384 * 100, 0, 0, 0, 0]), tuple(centre), side / 2, (1, 1), (1, 1)
+    )
+    write_geotiff(tmp_path / "sec.tif", plain * ramp.factor(x, y, 1))
+    write_geotiff(tmp_path / "ref.tif", (shifted * ramp.factor(x + dx, y + dy, 1)).astype(np.complex64))
+    reg = registration(tmp_path, Affine(np.array([[1, 0, dx], [0, 1, dy]])), (side, side))
+    got = {
+        way: warp_file(
+            reg, tmp_path / "sec.tif", tmp_path / "o.tif", deramp=way, coherence=tmp_path / "c.tif", workers=2
+        )
+        for way in (False, True)
+    }
+    without, with_it, found = got[False].coherence, got[True].coherence, got[True].ramp
+    assert without is not None
+    assert with_it is not None
+    assert found is not None
+    assert without < 0.97
+    assert with_it > 0.995
+    assert min(found.concentration) > 0.95
+    assert found.coefficients[4] == pytest.approx(ramp.coefficients[4], abs=10)
+    values = read(tmp_path / "c.tif")[0][0]
+    assert np.nanmean(values) == pytest.approx(with_it, abs=1e-6)
+
+
+def test_no_ramp_is_found_to_be_none_and_bursts_are_refused() -> None:
+    side = 256
+    plain = band_limited(side, 2)
+
+    def reader(samples: NDArray[Any]) -> Any:
+        return lambda x, y, w, h: (samples[y : y + h, x : x + w], np.ones((h, w), bool))
+
+    none = estimate_phase_ramp(reader(plain), plain.shape, strip=100)
+    y, x = np.mgrid[:side, :side]
+    assert max(np.abs(slope).max() for slope in np.gradient(none.phase(x, y))) < 0.15  # radians per sample
+    burst = (plain * np.exp(1j * 0.155 * (y - 128.0) ** 2 / 2)).astype(np.complex64)
+    with pytest.raises(InputError, match="one burst"):
+        estimate_phase_ramp(reader(np.vstack([burst] * 5)), (5 * side, side))
+    white = np.random.default_rng(0).normal(size=(side, side, 2)).astype(np.float32).view(np.complex64)[..., 0]
+    assert np.isnan(estimate_phase_ramp(reader(white), white.shape).concentration).all()
+    with pytest.raises(InputError, match="at least 64 x 64"):
+        estimate_phase_ramp(reader(plain[:20]), (20, side))
+
+
+@pytest.mark.realdata
+def test_a_round_trip_of_a_real_tops_burst(realdata: Path, tmp_path: Path) -> None:
+    source = realdata / "slc" / "sentinel1_iw3_vv_slc.tif"
+    if not source.is_file():
+        pytest.skip(f"no {source}")
+    image = as_image(source)
+    there, back = (Affine(np.array([[1, 0, s * 0.3], [0, 1, s * 0.5]])) for s in (1, -1))
+    figures = {}
+    for deramp in (False, True):
+        reg = registration(tmp_path, there, image.shape)
+        warp_file(reg, source, tmp_path / "there.tif", like=image.shape, deramp=deramp)
+        reg = registration(tmp_path, back, image.shape)
+        warp_file(reg, tmp_path / "there.tif", tmp_path / "back.tif", like=image.shape, deramp=deramp)
+        found = coherence(image, read(tmp_path / "back.tif")[0][0], window=9)
+        figures[deramp] = float(np.nanmean(found))
+    assert figures[True] > 0.996
+    assert figures[False] < 0.96
+
+
+# coherence
+
+
+@pytest.mark.parametrize("true", [0.0, 0.4, 0.8])
+@pytest.mark.parametrize("window", [3, 7])
+def test_coherence_and_its_bias(true: float, window: int) -> None:
+    rng = np.random.default_rng(3)
+    a, b = rng.normal(size=(2, 400, 400)) + 1j * rng.normal(size=(2, 400, 400))
+    other = true * a + np.sqrt(1 - true**2) * b
+    inner = slice(10, -10)
+    found = coherence(a, other, window=window)[inner, inner]
+    assert found.mean() == pytest.approx(expected_coherence(true, window**2), abs=0.006)
+    if true >= 0.4 and window == 7:
+        corrected = coherence(a, other, window=window, correct_bias=True)[inner, inner]
+        assert corrected.mean() == pytest.approx(true, abs=0.005)
+    if true == 0.0:
+        looks = window**2
+        assert expected_coherence(0.0, looks) == pytest.approx(np.sqrt(np.pi / (4 * looks)), rel=0.03)
+
+
+def test_coherence_of_equal_shifted_and_empty_images() -> None:
+    a = band_limited(200, 4, 0.45)
+    np.testing.assert_allclose(coherence(a, 3 * a * np.exp(1j))[2:-2, 2:-2], 1, atol=1e-6)
+    assert np.nanmean(coherence(a, np.roll(a, 3, axis=1), window=9)) < 0.2
+    holes = a.copy()
+    holes[50:80, 60:90] = np.nan
+    holes[100:120, 100:120] = 0
+    found = coherence(a, holes)
+    assert np.isnan(found[54:76, 64:86]).all()
+    assert np.isnan(found[104:116, 104:116]).all()
+    np.testing.assert_allclose(found[120:, :50][5:-5, 5:-5], 1, atol=1e-6)
+    with pytest.raises(InputError, match="complex"):
+        coherence(np.abs(a), a)
+    with pytest.raises(InputError, match="one shape"):
+        coherence(a[:50], a)
+    with pytest.raises(ParameterError, match="odd"):
+        coherence(a, a, window=4)
+
+
+# what a user gets wrong
+
+
+def test_misuse_leaves_nothing_behind(tmp_path: Path) -> None:
+    files(tmp_path, texture(*SHAPE))
+    reg, sec, out = registration(tmp_path), tmp_path / "sec.tif", tmp_path / "out.tif"
+    write_geotiff(tmp_path / "small.tif", texture(40, 60))
+    cases: list[tuple[Any, dict[str, Any], str]] = [
+        (InputError, {"secondary": tmp_path / "none.tif"}, "no such file"),
+        (InputError, {"secondary": tmp_path / "small.tif"}, "60 x 40 pixels, but the secondary of the result was 340"),
+        (InputError, {"like": tmp_path / "small.tif"}, "60 x 40 pixels, but the reference of the result was 340 x 300"),
+        (InputError, {"output": sec}, "would replace an input"),
+        (InputError, {"output": tmp_path / "ref.tif"}, "would replace an input"),
+        (InputError, {"output": tmp_path / "none" / "o.tif"}, "existing, writable folder"),
+        (InputError, {"output": tmp_path}, "is a directory"),
+        (ParameterError, {"resampling": "linear"}, "'bilinear'"),
+        (ParameterError, {"deramp": True}, "need complex ones"),
+        (ParameterError, {"coherence": tmp_path / "c.tif"}, "need complex ones"),
+        (ParameterError, {"secondary_scale": -1.0}, "must be > 0"),
+        (InputError, {"registration": registration(tmp_path, FailedFit("2 points"))}, r"no model \(2 points\)"),
+    ]
+    before = read(sec)[0]
+    for error, change, words in cases:
+        given: dict[str, Any] = {"registration": reg, "secondary": sec, "output": out} | change
+        with pytest.raises(error, match=words):
+            warp_file(**given)
+    assert not out.exists()
+    assert not list(tmp_path.glob(".*"))
+    np.testing.assert_array_equal(read(sec)[0], before)
+
+
+def test_coherence_needs_a_complex_reference_at_hand(tmp_path: Path) -> None:
+    samples = band_limited(128, 0)
+    write_geotiff(tmp_path / "sec.tif", samples)
+    reg = registration(tmp_path, size=(128, 128))
+    with pytest.raises(InputError, match="needs the reference image"):
+        warp_file(reg, tmp_path / "sec.tif", tmp_path / "o.tif", coherence=tmp_path / "c.tif")
+    write_geotiff(tmp_path / "ref.tif", np.abs(samples))
+    with pytest.raises(InputError, match="the reference holds float32"):
+        warp_file(reg, tmp_path / "sec.tif", tmp_path / "o.tif", coherence=tmp_path / "c.tif")
+    with pytest.raises(InputError, match="also the output"):
+        warp_file(reg, tmp_path / "sec.tif", tmp_path / "o.tif", coherence=tmp_path / "o.tif")
+
+
+def test_progress_and_cancel(tmp_path: Path) -> None:
+    files(tmp_path, texture(40, 3 * WINDOW))
+    reg = registration(tmp_path, size=(40, 3 * WINDOW))
+    seen: list[tuple[int, int]] = []
+    stop = threading.Event()
+
+    def progress(done: int, total: int) -> None:
+        seen.append((done, total))
+        stop.set()
+
+    with pytest.raises(CancelledError, match="after 1 of 3"):
+        warp_file(reg, tmp_path / "sec.tif", tmp_path / "o.tif", progress=progress, cancel=stop)
+    assert not (tmp_path / "o.tif").exists()
+    warp_file(reg, tmp_path / "sec.tif", tmp_path / "o.tif", progress=lambda *n: seen.append(n))
+    assert seen == [(1, 3), (1, 3), (2, 3), (3, 3)]
+
+
+def test_a_file_is_replaced_only_when_its_successor_is_whole(tmp_path: Path) -> None:
+    target = tmp_path / "a.txt"
+    target.write_text("old")
+
+    def fail() -> None:
+        with replacing(target) as temporary:
+            temporary.write_text("half")
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        fail()
+    assert target.read_text() == "old"
+    with replacing(target) as temporary:
+        temporary.write_text("new")
+    assert target.read_text() == "new"
+    assert [p.name for p in tmp_path.iterdir()] == ["a.txt"]

@@ -1,0 +1,241 @@
+"""Windows of scenes: the pixels are those of the whole image, wherever the window lies and whoever reads it."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from featreg.errors import InputError, ParameterError
+from featreg.io import as_image
+from featreg.raster_source import ImageSource, RasterSource, Window, open_source, pixel_count
+
+SHAPE = (150, 170)
+WINDOWS = [Window(0, 0, 170, 150), Window(20, 30, 50, 40), Window(-7, 100, 60, 80), Window(150, -9, 40, 30)]
+
+
+def write(path: Path, array: NDArray[Any], **profile: Any) -> Path:
+    import rasterio
+
+    from featreg.readers import quiet
+
+    size = {"height": array.shape[0], "width": array.shape[1], "count": 1, "dtype": array.dtype.name}
+    with quiet(), rasterio.open(path, "w", driver="GTiff", **size, **profile) as dataset:
+        dataset.write(array, 1)
+    return path
+
+
+def amplitude(seed: int = 0) -> NDArray[np.float32]:
+    return np.random.default_rng(seed).gamma(2.0, 50.0, SHAPE).astype(np.float32)
+
+
+def plain(folder: Path) -> tuple[Path, dict[str, Any]]:
+    return write(folder / "plain.tif", amplitude()), {}
+
+
+def with_nodata(folder: Path) -> tuple[Path, dict[str, Any]]:
+    array = amplitude().astype(np.uint16)
+    array[40:90, 60:120] = 0
+    return write(folder / "nodata.tif", array, nodata=0, tiled=True, blockxsize=64, blockysize=64), {}
+
+
+def decibels(folder: Path) -> tuple[Path, dict[str, Any]]:
+    return write(folder / "db.tif", (20 * np.log10(amplitude() / 60)).astype(np.float32)), {}
+
+
+def stated_intensity(folder: Path) -> tuple[Path, dict[str, Any]]:
+    return write(folder / "intensity.tif", amplitude()), {"scale": "intensity"}
+
+
+def complex_samples(folder: Path) -> tuple[Path, dict[str, Any]]:
+    phase = np.random.default_rng(1).uniform(-3, 3, SHAPE)
+    return write(folder / "complex.tif", (amplitude() * np.exp(1j * phase)).astype(np.complex64)), {}
+
+
+def numpy_file(folder: Path) -> tuple[Path, dict[str, Any]]:
+    array = amplitude()
+    array[10:30, 10:30] = np.nan
+    np.save(folder / "a.npy", array)
+    return folder / "a.npy", {}
+
+
+def palette(folder: Path) -> tuple[Path, dict[str, Any]]:
+    import cv2
+
+    cv2.imwrite(str(folder / "gray.bmp"), np.clip(amplitude(), 0, 255).astype(np.uint8))
+    return folder / "gray.bmp", {}
+
+
+def polygon(folder: Path) -> tuple[Path, dict[str, Any]]:
+    return plain(folder)[0], {"mask": [[(10.2, 12.0), (140.0, 20.5), (90.0, 130.0)]]}
+
+
+def mask_file(folder: Path) -> tuple[Path, dict[str, Any]]:
+    mask = (np.random.default_rng(2).random(SHAPE) > 0.3).astype(np.uint8)
+    return plain(folder)[0], {"mask": str(write(folder / "mask.tif", mask))}
+
+
+Maker = Callable[[Path], tuple[Path, dict[str, Any]]]
+MAKERS: list[Maker] = [
+    plain, with_nodata, decibels, stated_intensity, complex_samples, numpy_file, palette, polygon, mask_file
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("make", MAKERS)
+def test_a_window_holds_the_pixels_of_the_whole_image(make: Maker, tmp_path: Path) -> None:
+    path, keywords = make(tmp_path)
+    whole = as_image(path, **keywords)
+    source = open_source(path, **keywords)
+    assert source.shape == whole.shape
+    assert source.is_complex == whole.is_complex
+    assert source.known_scale == whole.scale
+    for window in WINDOWS:
+        got = source.read(window)
+        assert got.shape == window.shape
+        part = window.within(whole.shape)
+        assert part is not None
+        inside = np.zeros(window.shape, np.bool_)
+        rows = slice(part.y - window.y, part.y - window.y + part.height)
+        cols = slice(part.x - window.x, part.x - window.x + part.width)
+        inside[rows, cols] = True
+        assert not got.mask[~inside].any()
+        assert not got.pixels[~got.mask].any()
+        there = slice(part.y, part.y + part.height), slice(part.x, part.x + part.width)
+        assert np.array_equal(got.mask[rows, cols], whole.mask[there])
+        assert np.array_equal(got.pixels[rows, cols], whole.pixels[there])
+
+
+def test_a_window_outside_the_scene_is_all_masked(tmp_path: Path) -> None:
+    got = open_source(plain(tmp_path)[0]).read(Window(1000, 1000, 20, 30))
+    assert got.shape == (30, 20)
+    assert not got.mask.any()
+
+
+def test_an_empty_or_constant_window_is_no_error(tmp_path: Path) -> None:
+    source = open_source(with_nodata(tmp_path)[0])
+    assert not source.read(Window(70, 50, 20, 20)).mask.any()
+
+
+@pytest.mark.parametrize("make", [plain, numpy_file])
+def test_threads_and_pickles_read_the_same(make: Maker, tmp_path: Path) -> None:
+    source = open_source(make(tmp_path)[0])
+    wanted = [source.read(window).pixels for window in WINDOWS]
+    other = pickle.loads(pickle.dumps(source))
+    with ThreadPoolExecutor(4) as pool:
+        for _ in range(5):
+            for got, want in zip(pool.map(other.read, WINDOWS), wanted, strict=True):
+                assert np.array_equal(got.pixels, want)
+
+
+def test_an_image_in_memory_has_the_same_manners(tmp_path: Path) -> None:
+    array = amplitude()
+    array[:20] = np.nan
+    source = open_source(array)
+    assert isinstance(source, ImageSource)
+    spooled = source.spooled(tmp_path, "scene")
+    for window in WINDOWS:
+        a, b = source.read(window), spooled.read(window)
+        assert np.array_equal(a.pixels, b.pixels)
+        assert np.array_equal(a.mask, b.mask)
+    assert source.identity() == open_source(array.copy()).identity()
+    array[100, 100] += 1
+    assert source.identity() != open_source(array).identity()
+
+
+def test_an_overview_averages_intensity_over_valid_pixels(tmp_path: Path) -> None:
+    array = np.full((64, 96), 3.0, np.float32)
+    array[::2] = 5.0
+    array[:16, :16] = np.nan
+    np.save(tmp_path / "a.npy", array)
+    overview = open_source(tmp_path / "a.npy").overview(4)
+    assert overview.shape == (16, 24)
+    assert not overview.mask[:4, :4].any()
+    assert overview.mask.sum() == 16 * 24 - 16
+    np.testing.assert_allclose(overview.pixels[overview.mask], np.sqrt((9 + 25) / 2), rtol=1e-6)
+
+
+def test_neighbouring_windows_share_no_point_and_lose_none() -> None:
+    xy = np.random.default_rng(3).uniform(-0.5, 39.5, (500, 2))
+    xy[:4] = [[19.5, 5], [19.499999, 5], [5, 19.5], [-0.5, -0.5]]
+    parts = [Window(x, y, 20, 20) for y in (0, 20) for x in (0, 20)]
+    assert (np.sum([window.holds(xy) for window in parts], axis=0) == 1).all()
+
+
+def test_a_changed_file_is_read_anew(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.tif", amplitude(0))
+    source = RasterSource(str(path))
+    first, before = source.read(WINDOWS[1]).pixels, source.identity()
+    write(tmp_path / "b.tif", amplitude(5)).replace(path)
+    assert not np.array_equal(source.read(WINDOWS[1]).pixels, first)
+    assert source.identity() != before
+
+
+def test_another_band_can_be_chosen(tmp_path: Path) -> None:
+    import rasterio
+
+    from featreg.readers import quiet
+
+    bands = np.stack([amplitude(0), amplitude(1)])
+    size = {"height": SHAPE[0], "width": SHAPE[1], "count": 2, "dtype": "float32"}
+    with quiet(), rasterio.open(tmp_path / "two.tif", "w", driver="GTiff", **size) as dataset:
+        dataset.write(bands)
+    got = RasterSource(str(tmp_path / "two.tif"), band=2).read(Window(0, 0, 170, 150))
+    assert np.array_equal(got.pixels, bands[1])
+    with pytest.raises(InputError, match="2 bands"):
+        open_source(tmp_path / "two.tif")
+    with pytest.raises(InputError, match="band 3"):
+        _ = RasterSource(str(tmp_path / "two.tif"), band=3).shape
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "text"),
+    [
+        ("missing.tif", None, "no such file"),
+        ("empty.tif", b"", "is empty"),
+        ("wrong.tif", b"not a tiff at all", "not a TIFF"),
+        ("broken.tif", b"II*\0" + bytes(200), "broken"),
+        ("wrong.npy", b"not an array", "not an NPY"),
+        ("notes.txt", b"words", "not a known image format"),
+    ],
+)
+def test_files_that_cannot_be_used_say_why(name: str, content: bytes | None, text: str, tmp_path: Path) -> None:
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match=text):
+        open_source(tmp_path / name)
+    assert pixel_count(tmp_path / name) == 0
+
+
+def test_a_truncated_scene_is_named_when_the_missing_part_is_read(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.tif", amplitude())
+    path.write_bytes(path.read_bytes()[:40_000])
+    with pytest.raises(InputError, match=r"a\.tif: the"):
+        RasterSource(str(path)).read(Window(0, 100, 50, 50))
+
+
+def test_misuse_says_what_would_be_right(tmp_path: Path) -> None:
+    path = plain(tmp_path)[0]
+    with pytest.raises(ParameterError, match="width and height"):
+        Window(0, 0, 0, 5)
+    with pytest.raises(ParameterError, match="factor"):
+        open_source(path).overview(0)
+    with pytest.raises(ParameterError, match="unknown scale"):
+        open_source(path, scale="decibel")
+    other = write(tmp_path / "small.tif", np.ones((20, 20), np.uint8))
+    with pytest.raises(InputError, match="the scene is 170 x 150"):
+        open_source(path, mask=str(other))
+    with pytest.raises(InputError, match="complex"):
+        open_source(complex_samples(tmp_path)[0], scale="db")
+
+
+def test_pixels_are_counted_without_reading_them(tmp_path: Path) -> None:
+    assert pixel_count(plain(tmp_path)[0]) == 150 * 170
+    assert pixel_count(numpy_file(tmp_path)[0]) == 150 * 170
+    assert pixel_count(amplitude()) == 150 * 170
+    assert pixel_count(as_image(amplitude())) == 150 * 170

@@ -1,0 +1,136 @@
+"""The residual field: smooth displacements recovered, noise smoothed away, bounded where nothing is known."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from typing import Any
+
+import numpy as np
+import pytest
+
+import featreg
+from featreg.errors import InputError
+from featreg.geometry import Affine, ResidualField, model_from_dict, model_to_dict
+from featreg.interfaces import FailedFit
+from featreg.robust import fit_consensus
+from featreg.types import FloatArray
+
+PLANE = np.array([[1.01, -0.02, 30.0], [0.015, 0.99, -12.0]])
+
+
+def wavy(xy: FloatArray) -> FloatArray:
+    x, y = xy.T / 1000.0
+    moved = np.column_stack([3.0 * np.sin(5 * x) * np.cos(4 * y), 2.0 * np.cos(6 * x + 3 * y)])
+    return np.asarray(Affine(PLANE)(xy) + moved)
+
+
+@pytest.fixture(scope="module")
+def ties() -> tuple[FloatArray, FloatArray]:
+    here = np.random.default_rng(0).uniform(0, 1000, (1500, 2))
+    return here, wavy(here)
+
+
+def inner() -> FloatArray:
+    return np.stack(np.meshgrid(np.linspace(50, 950, 15), np.linspace(50, 950, 15)), -1).reshape(-1, 2)
+
+
+def fitted(here: FloatArray, there: FloatArray, weights: FloatArray | None = None) -> ResidualField:
+    model = ResidualField.from_estimate(here, there, weights)
+    assert model, model
+    return model
+
+
+def test_a_smooth_displacement_is_recovered(ties: tuple[FloatArray, FloatArray]) -> None:
+    assert np.abs(fitted(*ties)(inner()) - wavy(inner())).max() < 0.02
+    plane = Affine.from_estimate(*ties)
+    assert plane
+    assert np.abs(plane(inner()) - wavy(inner())).max() > 2
+
+
+def test_noise_is_smoothed(ties: tuple[FloatArray, FloatArray]) -> None:
+    noise = np.random.default_rng(1).normal(0, 0.5, ties[1].shape)
+    error = fitted(ties[0], ties[1] + noise)(inner()) - wavy(inner())
+    assert np.sqrt((error**2).mean()) < 0.2
+
+
+def test_an_affine_map_stays_one(ties: tuple[FloatArray, FloatArray]) -> None:
+    there = Affine(PLANE)(ties[0]) + np.random.default_rng(1).normal(0, 0.5, ties[1].shape)
+    assert np.abs(fitted(ties[0], there)(inner()) - Affine(PLANE)(inner())).max() < 0.15
+
+
+def test_points_of_no_weight_count_for_nothing(ties: tuple[FloatArray, FloatArray]) -> None:
+    weights = np.ones(1500)
+    weights[::3] = 0
+    there = ties[1].copy()
+    there[::3] += 50
+    model = fitted(ties[0], there, weights)
+    assert np.abs(model(inner()) - wavy(inner())).max() < 0.1
+
+
+def test_consensus_finds_it_among_outliers(ties: tuple[FloatArray, FloatArray]) -> None:
+    rng = np.random.default_rng(2)
+    bad = rng.random(1500) < 0.4
+    there = np.where(bad[:, None], rng.uniform(0, 1000, ties[1].shape), ties[1])
+    model, inliers = fit_consensus(ResidualField, ties[0], there, threshold=1.5, rng=rng)
+    assert model
+    assert inliers[~bad].mean() > 0.99
+    assert inliers[bad].mean() < 0.02
+    assert np.abs(model(inner()) - wavy(inner())).max() < 0.3
+
+
+def test_it_is_bounded_far_away(ties: tuple[FloatArray, FloatArray]) -> None:
+    model = fitted(*ties)
+    far = np.array([[-5000.0, 500.0], [500.0, 9000.0], [1e6, -1e6]])
+    assert np.hypot(*model.displacement(far).T).max() <= model.limit + 1e-12
+    rim = np.array([[model.frame[0], 500.0]])
+    assert np.allclose(model.displacement(far[:1]), model.displacement(rim))
+
+
+def test_the_inverse_goes_back(ties: tuple[FloatArray, FloatArray]) -> None:
+    model = fitted(*ties)
+    assert np.abs(model.inverse(model(inner())) - inner()).max() < 1e-8
+    assert model.inverse.inverse is model
+    assert np.isnan(model.inverse(np.array([[np.nan, 1.0]]))).all()
+    with pytest.raises(InputError, match="not fitted"):
+        model.inverse.from_estimate(*ties)
+
+
+def test_it_survives_json_and_pickle(ties: tuple[FloatArray, FloatArray]) -> None:
+    model = fitted(*ties)
+    record = json.loads(json.dumps(model_to_dict(model)))
+    assert record["type"] == "residual-field"
+    assert np.array_equal(model_from_dict(record)(inner()), model(inner()))
+    assert np.array_equal(pickle.loads(pickle.dumps(model))(inner()), model(inner()))
+
+
+def test_the_pipeline_takes_it(ties: tuple[FloatArray, FloatArray]) -> None:
+    result = featreg.fit(np.c_[ties[0], ties[1]], model="residual-field", reference_shape=(1000, 1000))
+    assert result.status == "ok", result.reason
+
+
+@pytest.mark.parametrize("count", [0, 3, 15])
+def test_too_few_points_fail(ties: tuple[FloatArray, FloatArray], count: int) -> None:
+    assert isinstance(ResidualField.from_estimate(ties[0][:count], ties[1][:count]), FailedFit)
+
+
+def test_points_on_a_line_fail() -> None:
+    line = np.column_stack([np.arange(50.0), 2 * np.arange(50.0)])
+    assert isinstance(ResidualField.from_estimate(line, line), FailedFit)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"field": np.zeros((2, 3, 4))},
+        {"field": np.full((2, 4, 4), np.nan)},
+        {"frame": (1.0, 0.0, 0.0, 1.0)},
+        {"matrix_rows": np.eye(3)},
+        {"bound": -1.0},
+        {"bound": float("inf")},
+    ],
+)
+def test_nonsense_is_refused(given: dict[str, Any]) -> None:
+    values: dict[str, Any] = {"matrix_rows": PLANE, "field": np.zeros((2, 4, 4)), "frame": (0.0, 0.0, 1.0, 1.0)}
+    with pytest.raises(InputError):
+        ResidualField(**{**values, **given})
