@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable, Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 
 import featreg
 from featreg.focusing import FocusResult
+from featreg.geometry import Rigid
 from featreg.sar.azimuth_filter import image_entropy
 from featreg.sar.phase_error import Band
 from featreg.types import FloatArray
@@ -43,7 +45,7 @@ METHODS: Mapping[str, tuple[str, dict[str, Any]]] = {
 
 
 def error(n: int, rng: np.random.Generator, *, rough: bool, strength: float = 1.0) -> FloatArray:
-    """A smooth phase error; rough ones have a sine and 0.1 rad of noise in addition. The paper's Eq. 10 is not known."""
+    """A smooth phase error; rough ones have a sine and 0.1 rad of noise in addition. The paper's Eq. 10 is unknown."""
     u = 2 * np.fft.fftfreq(n)
     phase = strength * (12 * u**2 + 5 * u**3 - 4 * u**4)
     if rough:
@@ -155,13 +157,14 @@ def pulse_domain(draws: int, rng: np.random.Generator) -> None:
     factor = featreg.carrier(history, grid)
     before = image_entropy(clean)
     found: dict[str, list[list[float]]] = {}
+    cases: dict[str, dict[str, Any]] = {"carrier left in": {}, "carrier taken out": {"carrier": factor}}
     for draw in range(draws):
         u = history.relative_azimuth_deg / np.abs(history.relative_azimuth_deg).max()
         phase = (1 + 0.3 * draw) * (12 * u**2 + 5 * u**3 - 4 * u**4) * rng.choice([-1, 1])
         samples = history.samples * np.exp(1j * phase)[:, None].astype(np.complex64)
         image = featreg.back_project(featreg.PhaseHistory(samples, history.frequencies, history.positions, history.r0,
                                                           history.azimuth_deg), grid).pixels  # fmt: skip
-        for name, keywords in (("carrier left in", {}), ("carrier taken out", {"carrier": factor})):
+        for name, keywords in cases.items():
             for method in ("auto", "mea", "pmea"):
                 for axis in (0, 1):
                     result = featreg.focus(image, method, azimuth_axis=axis, **keywords)
@@ -174,12 +177,12 @@ def pulse_domain(draws: int, rng: np.random.Generator) -> None:
 
 
 def registration(rng: np.random.Generator) -> None:
-    """RC-OBCLS on neighbouring 1-degree apertures, the secondary turned by 4 degrees and defocused along its columns."""
+    """RC-OBCLS on neighbouring 1-degree apertures, the secondary turned by 4 degrees, then defocused along columns."""
     from rotation import turned
 
     images = [featreg.back_project(gotcha(k, k + 1.0)) for k in range(4) if _has(k)]
     rows = []
-    for i, (first, second) in enumerate(zip(images[:-1], images[1:], strict=True)):
+    for i, (first, second) in enumerate(pairwise(images)):
         secondary = turned(second, 4.0).pixels
         for strength in (0.0, 0.5, 1.0, 3.0, 6.0):
             phase = error(len(secondary), rng, rough=strength > 0, strength=strength)
@@ -187,7 +190,7 @@ def registration(rng: np.random.Generator) -> None:
             row: list[Any] = [f"{i + 1}-{i + 2}", strength]
             for focus in (None, "auto"):
                 result = featreg.match(first, given, method="rc-obcls", model="rigid", focus=focus)
-                angle = abs(result.model.rotation_deg - 4) if result.model else float("inf")  # type: ignore[union-attr]
+                angle = abs(result.model.rotation_deg - 4) if isinstance(result.model, Rigid) else float("inf")
                 row += [float(angle), result.status]
             rows.append(row)
     print("\n## Registration against defocus: rotation error in degrees\n")

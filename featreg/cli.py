@@ -1,4 +1,4 @@
-"""The command line: `featreg match`, `compare`, `sweep`, `warp`, `export`, `focus`, `list`, `demo`, `doctor`.
+"""The command line: `featreg match`, `compare`, `sweep`, `warp`, `export`, `focus`, `mark`, `list`, `demo`, `doctor`.
 
 Exit codes: 0 good; 1 an error of this program; 2 usage or bad input; 3 no trustworthy result (what was asked for is
 still written); 4 a comparison with failed rows; 130 interrupted. Whatever goes wrong is one line on stderr.
@@ -15,7 +15,7 @@ from typing import Annotated, Any
 
 import typer
 
-from featreg import cli_compare, cli_export, cli_focus, cli_info, cli_match, cli_sweep, cli_warp
+from featreg import cli_compare, cli_export, cli_focus, cli_info, cli_mark, cli_match, cli_sweep, cli_warp
 from featreg._version import __version__
 from featreg.errors import FeatregError, UnknownNameError, suggest
 
@@ -26,6 +26,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "warp": cli_warp.warp,
     "export": cli_export.export,
     "focus": cli_focus.focus,
+    "mark": cli_mark.mark,
     "list": cli_info.list_plugins,
     "demo": cli_info.demo,
     "doctor": cli_info.doctor,

@@ -103,7 +103,9 @@ def focus(
         ),
     ] = None,
 ) -> None:
-    """Focus a complex SAR image: estimate the phase error of every pulse and remove it.
+    """Focus a complex SAR image by autofocus.
+
+    Estimates the phase error of every pulse from the image itself and removes it.
 
     Georeferencing is kept from GeoTIFF to GeoTIFF. Exit code 3 means that the phase, and so the output, which is still
     written, cannot be trusted.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import Annotated
 
 import typer
@@ -59,8 +60,6 @@ def mark(
 
             webbrowser.open(address)
 
-    try:
+    with suppress(KeyboardInterrupt):
         serve(points, scenes, port=port, started=started)
-    except KeyboardInterrupt:
-        pass
     typer.echo(f"{len(points.points)} points in {output}")

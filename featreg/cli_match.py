@@ -132,6 +132,10 @@ def match(
         raise ParameterError("--search-radius needs --initial RESULT.json, the result around which to search")
     check_block_options(block, whole, workers, scheduler, dem, height, resume)
     blocks = may_be_blocks(whole, [block, scheduler, dem, height, resume], [reference, secondary])
+    if blocks:
+        from featreg.scene.execution import keep_freed_memory
+
+        keep_freed_memory()
     with kept_when_interrupted(resume), limited_threads(workers, 1 if blocks else None), cluster(scheduler) as client:
         from featreg.matching import match as register
         from featreg.types import Registration

@@ -38,6 +38,8 @@ FRACTIONS = {"mea": 0.1, "pmea": 0.1, "mca": 0.1, "pga": 1.0, "legendre": 1.0}
 FIRST, FEWEST, MOST_SAMPLES = 0.1, 64, 1 << 22
 #: Range cells below which nothing can be held out.
 LEAST_CELLS = 4
+#: Pulses with signal from which a phase beyond its constant and linear part can be told.
+LEAST_PULSES = 8
 
 #: Fall of the image's entropy, nats, from which held-out cells must become sharper too.
 CLAIM = 0.1
@@ -204,7 +206,7 @@ def _whole(pixels: NDArray[Any], energy: FloatArray, before: float, *, settings:
     phase = band.detrended(found.phase) if settings.detrend else found.phase
     apply_phase(pixels, phase, settings.axis, out, workers=settings.workers)
     after = image_entropy(out, workers=settings.workers)
-    gates = _gates(len(chosen), verdict, (before, after))
+    gates = _gates(len(chosen), len(band.order), verdict, (before, after))
     reason = _reason(gates)
     return FocusResult(
         out, phase, found.entropy, found.iterations, chosen, "unreliable" if reason else "ok", reason,
@@ -279,7 +281,7 @@ def _counts(pixels: NDArray[Any], cells: int, settings: _Settings) -> IntArray:
     return count_points(found.xy, settings.axis, cells)
 
 
-def _gates(cells: int, verdict: autofocus.Check, entropy: tuple[float, float]) -> dict[str, Gate]:
+def _gates(cells: int, pulses: int, verdict: autofocus.Check, entropy: tuple[float, float]) -> dict[str, Gate]:
     enough = bool(cells >= LEAST_CELLS and np.isfinite(verdict.halves))
     deviation = verdict.deviation if enough else None
     half, unsettled, gain = (v if enough else None for v in (verdict.halves / 2, verdict.unsettled, verdict.gain))
@@ -288,6 +290,7 @@ def _gates(cells: int, verdict: autofocus.Check, entropy: tuple[float, float]) -
     # Where the image was sharp before, a half's phase has nothing to sharpen, and its noise blurs the other half.
     claimed = rise < -CLAIM
     return {
+        "pulses": Gate(float(pulses), pulses >= LEAST_PULSES, LEAST_PULSES, None, "pulses that carry signal"),
         "cells": Gate(float(cells), enough, LEAST_CELLS, None, "range cells, of two places in range at least"),
         "deviation": Gate(deviation, enough and bool(verdict.deviation <= limit), None, limit,
                           "expected error of the phase, radians RMS"),
@@ -304,6 +307,7 @@ def _gates(cells: int, verdict: autofocus.Check, entropy: tuple[float, float]) -
 def _reason(gates: Mapping[str, Gate]) -> str:
     """One line on the gates that failed."""
     texts = {
+        "pulses": "too few pulses carry signal for a phase to be seen",
         "cells": "too few range cells with independent scatterers to check the phase",
         "held out": "the halves of the range cells find different phases (homogeneous speckle, or a collapsed image)",
         "settled": "the phase does not stay where it is when the entropy is minimised further",
@@ -312,8 +316,9 @@ def _reason(gates: Mapping[str, Gate]) -> str:
         "deviation": "the expected error of the phase is too large",
     }
     failed = [name for name in texts if not gates[name].passed]
-    if "cells" in failed:
-        return texts["cells"]
+    for name in ("pulses", "cells"):
+        if name in failed:
+            return texts[name]
     if len(failed) > 1 and "deviation" in failed:
         failed.remove("deviation")
     return "; ".join(f"{texts[name]}: {gates[name].value:.2f}" for name in failed)

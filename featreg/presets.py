@@ -99,10 +99,13 @@ def _opencv(name: str, *, ratio: float = 1.0) -> Preset:
 # overlap, so the true uncertainty is larger than the one computed, most where only part of the scene agrees.
 # A defocused secondary is stretched by 0.3 to 1 %, true pairs of real apertures by 0.15 % at most (0.3 % where they
 # are half as long); with a dilution above 1 the tie points huddle in a quarter of the scene. `benchmarks/rotation.py`.
-_RIGID_TRUST = {"uncertainty_px": 0.15, "distortion": 0.003, "dilution": 1.0}
-_TARGETS_TRUST = {**_RIGID_TRUST, "least_inliers": 8, "significance": -20.0}
+_TARGETS_TRUST = {
+    "least_inliers": 8, "significance": -20.0, "uncertainty_px": 0.15, "distortion": 0.003, "dilution": 1.0
+}  # fmt: skip
+# Hundreds of refined tie points, none of them far from the model: less is wrong already.
+_REFINED_TRUST = {"uncertainty_px": 0.06, "distortion": 0.0015, "dilution": 0.9}
 # Centroids are associated over the whole image, so that chance has all of it.
-_CENTROIDS_TRUST = {**_TARGETS_TRUST, "significance": -12.0}
+_SIGNIFICANCE = {"c": -12.0, "cc": -20.0}
 # The letter's threshold leaves few tie points, and a single pass pulls the rotation towards 0: results whose own error
 # is above this were wrong by 0.25 to 1.2 degrees.
 _PAPER_TRUST = {"least_inliers": 8, "uncertainty_px": 0.3, "dilution": 1.0}
@@ -120,7 +123,9 @@ def _targets(tie_points: str, summary: str, *, refine: bool) -> Preset:
         filters=(_FROM_CONSENSUS,),
         refine=refine,
         model="rigid",
-        trust=_CENTROIDS_TRUST if tie_points == "c" else _TARGETS_TRUST,
+        trust={**_TARGETS_TRUST, **_REFINED_TRUST, "significance": _SIGNIFICANCE[tie_points]}
+        if refine
+        else _TARGETS_TRUST,
         refinement=_FEW_WINDOWS,
     )
 
@@ -261,7 +266,7 @@ PRESETS: Mapping[str, Preset] = {
         matcher=Part("patch-grid"),
         filters=(_FROM_CONSENSUS,),
         model="rigid",
-        trust=_RIGID_TRUST,
+        trust=_REFINED_TRUST,
         refinement=_FEW_WINDOWS,
     ),
     "c-obcls-paper": _paper_obcls(

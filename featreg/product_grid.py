@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from featreg.errors import InputError, ParameterError
-from featreg.interfaces import FailedFit, Model
+from featreg.interfaces import Model
 from featreg.lattice import OtherGrids, resized
 from featreg.raster_source import RasterSource
+from featreg.resample import model_of
 from featreg.types import FloatArray, Geolocation, Registration
 
 #: Pixel sizes that are taken as meant where the sizes of two images allow them: whole multiples and parts.
@@ -38,24 +39,6 @@ class Grid:
     geolocation: Geolocation | None
     path: str | None
     to_matched: FloatArray
-
-
-def model_of(registration: Registration) -> Model:
-    """Return the model of a registration, with a logged warning where it is not trusted.
-
-    Raises
-    ------
-    InputError
-        There is none.
-    """
-    model = registration.model
-    if isinstance(model, FailedFit):
-        raise InputError(f"the registration has no model ({model.reason}), so nothing can be warped")
-    if registration.status != "ok":
-        logger.warning(
-            "the registration is %s (%s), warping with its best model", registration.status, registration.reason
-        )
-    return model
 
 
 def recorded(registration: Registration, role: str) -> dict[str, Any]:
@@ -167,7 +150,8 @@ def _same_footprint(name: str, shape: tuple[int, int], role: str, size: tuple[in
     """The map from an image as it was matched to a version of it with another pixel size, told from the sizes."""
     if shape == size:
         return IDENTITY
-    for factor in (*PLAIN_FACTORS, float(np.sqrt(shape[0] * shape[1] / (size[0] * size[1])))):
+    # Any other ratio is as likely another place: it must be stated.
+    for factor in PLAIN_FACTORS:
         if all(abs(old * factor - new) <= 1 for old, new in zip(size, shape, strict=True)):
             logger.warning(
                 "%s: %s, the %s that was matched had %s: taken as the same footprint with %.6g times as many pixels "

@@ -159,6 +159,11 @@ def warp_file(
             for window, (arrays, count) in runner.run(job.render, grid.shape):
                 dataset.write(arrays, window=rasterio_window(window))
                 good += count
+        if good == 0:
+            raise InputError(
+                f"{secondary}: holds no valid pixel within the reference (all are NaN, nodata or masked, or the model "
+                "leads outside); check the file, the result and nodata"
+            )
         if coherence is not None and partner is not None:
             mean = _write_coherence(plain, partner, Path(coherence), grid, coherence_window, runner, tags, inputs)
         cloud_optimised(plain, target, "NEAREST" if flat else "AVERAGE", first.dtype, runner.workers)
@@ -245,7 +250,7 @@ def _sources(secondary: str, band: int | None, scale: str | None, nodata: float 
     # A palette or a file that is read whole has one band, which must not be asked for by number.
     alone = len(numbers) == 1
     chosen = [0] if alone else (numbers if band is None else [band])
-    return [RasterSource(secondary, scale, nodata, number) for number in chosen]
+    return [RasterSource(secondary, scale, nodata, number).checked() for number in chosen]
 
 
 def _recorded_scale(registration: Registration, secondary: str) -> str | None:

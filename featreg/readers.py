@@ -163,7 +163,8 @@ def gdal_dataset(source: str | Path) -> Iterator[Any]:
 def _gdal_driver(path: Path, head: bytes) -> str:
     driver = next((name for magic, name in MAGIC.items() if head.startswith(magic)), None)
     if driver is None:
-        raise InputError(f"{path}: the content is not a TIFF, NITF, PNG, JPEG or BMP image in spite of its name")
+        kinds = "NITF" if READERS[path.suffix.lower()] is _read_nitf else "TIFF, PNG, JPEG or BMP"
+        raise InputError(f"{path}: the content is not a {kinds} image in spite of its name")
     return driver
 
 

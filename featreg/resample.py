@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import InputError, ParameterError, suggest
-from featreg.interfaces import FailedFit
+from featreg.interfaces import FailedFit, Model
 from featreg.io import ImageLike, as_image
 from featreg.lattice import Lattice, lattice_of
 from featreg.types import BoolArray, FloatArray, Image, Registration
@@ -163,6 +163,21 @@ def warp(
     ParameterError
         An unknown resampling.
     """
+    model = model_of(registration)
+    image = as_image(secondary)
+    warped = resample(image, model, _reference_shape(registration, like), resampling=resampling)
+    blank = np.complex64(complex(np.nan, np.nan)) if image.is_complex else np.float32(np.nan)
+    return np.where(warped.mask, warped.pixels, blank)
+
+
+def model_of(registration: Registration) -> Model:
+    """Return the model of a registration, with a logged warning where it is not trusted.
+
+    Raises
+    ------
+    InputError
+        There is none.
+    """
     model = registration.model
     if isinstance(model, FailedFit):
         raise InputError(f"the registration has no model ({model.reason}), so nothing can be warped")
@@ -170,10 +185,7 @@ def warp(
         logger.warning(
             "the registration is %s (%s), warping with its best model", registration.status, registration.reason
         )
-    image = as_image(secondary)
-    warped = resample(image, model, _reference_shape(registration, like), resampling=resampling)
-    blank = np.complex64(complex(np.nan, np.nan)) if image.is_complex else np.float32(np.nan)
-    return np.where(warped.mask, warped.pixels, blank)
+    return model
 
 
 def _reference_shape(registration: Registration, like: ImageLike | tuple[int, int] | None) -> tuple[int, int]:

@@ -86,7 +86,7 @@ def write_registration(registration: Registration, path: str | Path) -> None:
     columns, masks, head = _columns(registration, stage), _masks(registration, stage), _head(registration)
     if len(stage) > MAX_ROWS:
         beside = path.with_name(f"{path.stem}.tie_points.parquet")
-        content = _parquet(columns)
+        content = parquet_of(columns)
         write_atomic(beside, content)
         table = {"file": beside.name, "columns": list(columns), "sha256": hashlib.sha256(content).hexdigest()}
         text = _layout({**head, "tie_points": table | ({"masks": masks} if masks else {})})
@@ -237,7 +237,8 @@ def _table(columns: Mapping[str, Any], masks: Mapping[str, str], rows: Any) -> d
     return {"columns": list(columns), **({"masks": dict(masks)} if masks else {}), "rows": rows}
 
 
-def _parquet(columns: Mapping[str, NDArray[Any]]) -> bytes:
+def parquet_of(columns: Mapping[str, NDArray[Any]]) -> bytes:
+    """Return a Parquet file of columns (M,); numbers that are not finite are null."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 

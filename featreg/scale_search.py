@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from dataclasses import dataclass, replace
 
@@ -10,20 +11,34 @@ import numpy as np
 from featreg import registry
 from featreg.errors import ParameterError
 from featreg.feature_matcher import FeatureMatcher
-from featreg.geometry import Similarity, local_linear
+from featreg.geometry import Similarity
 from featreg.interfaces import FailedFit, Matcher
 from featreg.registry import register
 from featreg.robust import fit_consensus
 from featreg.sar.pyramid import to_base
 from featreg.timing import stage
 from featreg.trust import distinct
-from featreg.types import BoolArray, FloatArray, Image, Matches
+from featreg.types import Image, Matches
+
+logger = logging.getLogger(__name__)
 
 # Shorter sides than this hold too little to tell one scale from the next.
 SMALLEST = 64
 ITERATIONS = 800
+# Alignments whose corners lie this near to each other, as a share of the diagonal, are one.
+NEAR = 0.15
 # A reduced pixel counts where at least this share of it, of 255, is data.
 WHOLE = 254
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """Matches at one ratio of the scales, and the similarity on which so many distinct places agree."""
+
+    matches: Matches
+    model: Similarity
+    scale: float
+    places: int
 
 
 @register("scale-search")
@@ -40,6 +55,7 @@ class ScaleSearch(Matcher):
     largest : ratios of the scales (secondary over reference) from 1 / `largest` to `largest` are sought
     step : largest factor between neighbouring ratios
     threshold : largest residual in reduced pixels of a match that counts
+    rivalry : no match is returned where another alignment has more than this share of the best one's places
     seed : of the consensus
 
     Raises
@@ -51,8 +67,9 @@ class ScaleSearch(Matcher):
     -----
     At every ratio the image that has the finer pixels is reduced to the other's, so that nothing is enlarged. A
     similarity is fitted to the matches; where its scale is not that of the ratio tried (to within one step), its
-    consensus does not count. A final pass at the scale found, with all features, replaces the trial where more distinct
-    places agree.
+    consensus does not count. A final pass at the scale found, with all features, replaces the trial where it agrees
+    with it and more distinct places support it. Index maps hardly tell an image from itself turned by half a turn, so
+    that two alignments can each have a consensus on a scene of fields or streets: then none is given.
     """
 
     n_features: int = 5000
@@ -64,6 +81,7 @@ class ScaleSearch(Matcher):
     largest: float = 2.0
     step: float = 1.3
     threshold: float = 4.0
+    rivalry: float = 0.6
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -72,10 +90,10 @@ class ScaleSearch(Matcher):
                 "scale-search needs n_features >= 1, trial_features >= 1 and seed >= 0, got "
                 f"{self.n_features}, {self.trial_features} and {self.seed}"
             )
-        if not (1 <= self.largest <= 16 and 1 < self.step <= 4 and self.threshold > 0):
+        if not (1 <= self.largest <= 16 and 1 < self.step <= 4 and self.threshold > 0 and 0 < self.rivalry <= 1):
             raise ParameterError(
-                "scale-search needs largest from 1 to 16, step above 1 and up to 4, and threshold > 0, got "
-                f"{self.largest}, {self.step} and {self.threshold}"
+                "scale-search needs largest from 1 to 16, step above 1 and up to 4, threshold > 0 and rivalry above 0 "
+                f"and up to 1, got {self.largest}, {self.step}, {self.threshold} and {self.rivalry}"
             )
 
     @property
@@ -85,23 +103,25 @@ class ScaleSearch(Matcher):
         return tuple(self.largest ** (i / half) for i in range(-half, half + 1)) if half else (1.0,)
 
     def match(self, reference: Image, secondary: Image) -> Matches:
-        """Return the matches at the best scale; empty where no scale has a consensus."""
-        best, count, scale = Matches.empty(), 0, 0.0
-        for ratio in self.ratios:
-            found, places, fitted = self._at(reference, secondary, ratio, self.trial_features)
-            if places > count:
-                best, count, scale = found, places, fitted
-        if count:
-            found, places, _ = self._at(reference, secondary, scale, self.n_features)
-            if places > count:
-                best = found
-        return best
+        """Return the matches at the best scale; empty where no scale has a consensus, or where two rival ones do."""
+        trials = [self._at(reference, secondary, ratio, self.trial_features) for ratio in self.ratios]
+        trials = sorted((t for t in trials if t is not None), key=lambda t: -t.places)
+        if not trials:
+            return Matches.empty()
+        best = trials[0]
+        rival = max((t.places for t in trials if not _agree(t.model, best.model, reference)), default=0)
+        if rival > self.rivalry * best.places:
+            logger.info("no matches: %d places agree on one alignment, %d on quite another", best.places, rival)
+            return Matches.empty()
+        final = self._at(reference, secondary, best.scale, self.n_features)
+        better = final is not None and final.places > best.places and _agree(final.model, best.model, reference)
+        return final.matches if final is not None and better else best.matches
 
-    def _at(self, reference: Image, secondary: Image, ratio: float, budget: int) -> tuple[Matches, int, float]:
-        """Matches at one ratio, how many distinct places agree on a similarity of about that scale, and its scale."""
+    def _at(self, reference: Image, secondary: Image, ratio: float, budget: int) -> _Trial | None:
+        """What is found at one ratio, None where no similarity of about that scale has a consensus."""
         first, second = _reduced(reference, min(ratio, 1.0)), _reduced(secondary, min(1.0 / ratio, 1.0))
         if min(*first.shape, *second.shape) < SMALLEST:
-            return Matches.empty(), 0, 0.0
+            return None
         found = self._matcher(budget).match(first, second)
         here, there = to_base(found.reference_xy, first, reference), to_base(found.secondary_xy, second, secondary)
         with stage("scale"):
@@ -110,13 +130,13 @@ class ScaleSearch(Matcher):
                 Similarity, here, there, threshold=self.threshold * max(ratio, 1.0), rng=rng, iterations=ITERATIONS
             )
         if isinstance(model, FailedFit):
-            return Matches.empty(), 0, 0.0
-        scale = _scale(model, here)
+            return None
+        scale = math.sqrt(abs(np.linalg.det(model.matrix[:2, :2])))
         if not ratio / self.step <= scale <= ratio * self.step:
-            return Matches.empty(), 0, 0.0
+            return None
         enlarged = None if found.scale_ratio is None else found.scale_ratio * ratio
         matches = replace(found, reference_xy=here, secondary_xy=there, scale_ratio=enlarged)
-        return matches, _places(here, there, inliers), scale
+        return _Trial(matches, model, scale, distinct(here[inliers], there[inliers]))
 
     def _matcher(self, budget: int) -> FeatureMatcher:
         return FeatureMatcher(
@@ -133,13 +153,13 @@ def _taken(kind: str, name: str, **parameters: float) -> dict[str, float]:
     return {key: value for key, value in parameters.items() if key in known}
 
 
-def _scale(model: Similarity, at: FloatArray) -> float:
-    linear = local_linear(model, at.mean(axis=0, keepdims=True))[0]
-    return float(math.sqrt(abs(np.linalg.det(linear))))
-
-
-def _places(here: FloatArray, there: FloatArray, inliers: BoolArray) -> int:
-    return distinct(here[inliers], there[inliers])
+def _agree(one: Similarity, other: Similarity, reference: Image) -> bool:
+    """Whether two models map the corners of the reference to about the same places."""
+    height, width = reference.shape
+    corners = np.array([[0, 0], [width, 0], [0, height], [width, height]], np.float64)
+    there = other(corners)
+    size = float(np.hypot(*(there[3] - there[0])))
+    return bool(np.hypot(*(one(corners) - there).T).max() <= NEAR * size)
 
 
 def _reduced(image: Image, factor: float) -> Image:

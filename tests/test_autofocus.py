@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ BAND = np.abs(np.fft.fftfreq(SIDE)) < 0.4
 Complex = NDArray[np.complex128]
 
 
-def scene(points: list[tuple[float, float, float]], clutter: float, seed: int) -> Complex:
+def scene(points: Sequence[tuple[float, float, float]], clutter: float, seed: int) -> Complex:
     """Points (azimuth, range, amplitude) over clutter, band-limited in both axes."""
     rng = np.random.default_rng(seed)
     f = np.fft.fftfreq(SIDE)
@@ -58,13 +59,13 @@ def speckle(shape: tuple[int, int] = (SIDE, SIDE), seed: int = 0) -> Complex:
 
 def smooth(n: int = SIDE, strength: float = 1.0) -> NDArray[np.float64]:
     u = 2 * np.fft.fftfreq(n)
-    return strength * (12 * u**2 + 5 * u**3 - 4 * u**4)
+    return np.asarray(strength * (12 * u**2 + 5 * u**3 - 4 * u**4))
 
 
 def mixed(seed: int = 0) -> NDArray[np.float64]:
     rng = np.random.default_rng(seed)
     u = 2 * np.fft.fftfreq(SIDE)
-    return smooth() + 1.5 * np.sin(2 * np.pi * (2.3 * u + rng.uniform())) + 0.1 * rng.normal(size=SIDE)
+    return np.asarray(smooth() + 1.5 * np.sin(2 * np.pi * (2.3 * u + rng.uniform())) + 0.1 * rng.normal(size=SIDE))
 
 
 def blurred(image: Complex, phase: NDArray[np.float64]) -> NDArray[np.complex64]:
@@ -93,7 +94,7 @@ def residual(image: Complex, truth: NDArray[np.float64], found: NDArray[np.float
 @pytest.mark.parametrize("seed", [1, 2])
 def test_point_targets_are_focused(method: str, seed: int) -> None:
     clean, phase = rows_and_columns(seed), mixed(seed)
-    result = featreg.focus(blurred(clean, phase), method, **({} if method == "auto" else {"fraction": 0.1}))
+    result = featreg.focus(blurred(clean, phase), method, fraction=None if method == "auto" else 0.1)
     assert result.status == "ok", result.reason
     assert residual(clean, phase, result.phase) < 0.06
     assert result.image_entropy[1] < result.image_entropy[0] - 0.5
@@ -372,7 +373,7 @@ def test_the_band_is_found_wherever_it_lies(start: int) -> None:
     band = Band.of(power)
     np.testing.assert_array_equal(band.order, (start + np.arange(120)) % 300)
     np.testing.assert_allclose(band.place[[0, -1]], [-1, 1])
-    line = band.spread(3.0 + 2.5 * np.arange(120))
+    line = band.spread(np.asarray(3.0 + 2.5 * np.arange(120), np.float64))
     assert band.difference(line, np.zeros(300)) < 1e-6
     basis = legendre_basis(band, 4)
     assert basis.shape == (300, 3)

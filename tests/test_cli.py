@@ -206,7 +206,8 @@ def test_a_bad_image_is_one_line(run: Run, folder: Path, name: str, tmp_path: Pa
     refused(run("match", name, "sec.tif", *outputs), name, word)
     refused(run("match", "ref.tif", name, *outputs), name, word)
     refused(run("compare", "ref.tif", name, "--methods", "orb", "--resume", str(tmp_path / "kept")), name, word)
-    refused(run("warp", "result.json", name, "-o", str(tmp_path / "out.tif")), name, word)
+    if name not in ("flat.tif", "bands.tif"):  # a mask and several bands may be resampled, if not matched
+        refused(run("warp", "result.json", name, "-o", str(tmp_path / "out.tif")), name, word)
     assert list(tmp_path.iterdir()) == []
 
 

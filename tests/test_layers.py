@@ -45,7 +45,8 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
     ),
     "focusing": ({"focusing", "focused_inputs", "range_blocks"}, {"base", "types", "sar", "interfaces", "registry", "input"}),
     "pipeline": (
-        {"feature_matcher", "scale_search", "presets", "refine", "trust", "pipeline", "assembly", "matching", "extraction"},
+        {"feature_matcher", "scale_search", "presets", "refine", "trust", "pipeline", "assembly", "matching",
+         "extraction"},
         {"base", "types", "sar", "interfaces", "registry", "geometry", "robust", "input", "simulate", "focusing"},
     ),
     "scene": (

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 import featreg
 from featreg import registry
-from featreg.errors import ParameterError
+from featreg.errors import InputError, ParameterError
 from featreg.geometry import Rigid
 from featreg.interfaces import FilterContext
 from featreg.io import as_image
+from featreg.resample import resample
 from featreg.sar.alignment import aligned
 from featreg.sar.association import Map, fourier_mellin, nearest, vote
+from featreg.sar.backprojection import back_project
 from featreg.sar.cancellation import cancelled, cancelled_fit
 from featreg.sar.patches import patch_shifts
 from featreg.types import Matches
@@ -184,6 +188,7 @@ def test_parameters_reach_the_one_part_they_belong_to() -> None:
         ("target-centroids", {"patch": 2}),
         ("target-centroids", {"cfar": "x"}),
         ("target-centroids", {"median": 2}),
+        ("target-centroids", {"guard": 600}),
         ("patch-grid", {"tie_points": "c"}),
         ("patch-grid", {"step": -1}),
     ],
@@ -358,3 +363,74 @@ def test_equal_input_gives_equal_bits() -> None:
     runs = [featreg.match(*pair, method="rc-obcls") for _ in range(2)]
     np.testing.assert_array_equal(runs[0].matches.secondary_xy, runs[1].matches.secondary_xy)
     np.testing.assert_array_equal(runs[0].inliers, runs[1].inliers)
+
+
+# Trust
+
+
+def test_a_stretched_secondary_is_not_explained_by_a_rotation() -> None:
+    """One percent along one axis, as a defocused image has it: a part of the scene still fits a rigid model."""
+    import cv2
+
+    first, second = parking(rigid(6.0), seed=16)
+    assert featreg.match(first, second, method="rc-obcls").status == "ok"
+    stretched = cv2.resize(second, (SIZE, round(1.01 * SIZE)), interpolation=cv2.INTER_CUBIC)[:SIZE]
+    result = featreg.match(first, np.maximum(stretched, 0), method="rc-obcls")
+    assert result.status == "unreliable"
+    assert result.gates["distortion"].value == pytest.approx(0.005, abs=0.003)
+
+
+def test_a_quarter_of_the_scene_is_not_enough() -> None:
+    """The rotation would rest on a few neighbouring places."""
+    first, second = parking(rigid(6.0), seed=17, targets=90)
+    other = parking(rigid(0.0), seed=18, targets=90)[1]
+    other[:150, :150] = second[:150, :150]
+    result = featreg.match(first, other, method="rc-obcls")
+    assert result.status == "unreliable"
+
+
+def test_a_regular_row_of_targets_is_ambiguous() -> None:
+    """A shift by one place explains nearly as many: neither the vote nor the spectra may choose."""
+    rng = np.random.default_rng(19)
+    looks = []
+    for _ in range(2):
+        amplitude = np.sqrt(rng.exponential(size=(SIZE, SIZE)))
+        for y in range(30, SIZE - 20, 50):
+            for x in range(30, SIZE - 20, 50):
+                amplitude[y - 6 : y + 6, x - 6 : x + 6] *= 8
+        looks.append(amplitude)
+    result = featreg.match(looks[0], np.roll(looks[1], 50, axis=1), method="rc-obcls")
+    assert result.status == "unreliable"
+
+
+def test_complex_correlation_needs_complex_images() -> None:
+    first, second = parking(rigid(0.0), seed=20)
+    for method in ("cc-obcls", "cc-obcls-paper", "cls-paper"):
+        with pytest.raises(InputError, match="needs two complex images"):
+            featreg.match(first.astype(np.complex64), second, method=method)
+
+
+@pytest.mark.realdata
+@pytest.mark.slow
+def test_real_couples_are_right_or_refused(realdata: Path) -> None:
+    """The next degree of azimuth, turned and shifted: right; out of focus or mostly replaced: right or unreliable."""
+    history = featreg.io.read_phase_history(realdata / "gotcha")
+    images = [back_project(history.select(i, i + 1)).pixels for i in range(3)]
+    centre = np.array([[250.0, 250.0]])
+    for (i, j), degrees, shift in (((0, 1), 11.37, (20.0, -35.0)), ((1, 2), -143.6, (0.0, 60.0)), ((0, 2), 4.0, (0, 0))):
+        turned = Rigid(degrees)
+        dx, dy = (centre - turned(centre))[0] + shift
+        truth = Rigid(degrees, float(dx), float(dy))
+        there = resample(as_image(images[j]), truth.inverse, (501, 501), resampling="nearest").pixels
+        there = np.where(np.isfinite(there), there, 0)
+        found = featreg.match(images[i], there, method="rc-obcls")
+        assert found.status == "ok"
+        turn = (found.model.rotation_deg - degrees + 180) % 360 - 180
+        assert abs(turn) < 0.1
+        assert np.hypot(*(found.model(centre) - truth(centre))[0]) < 1
+        frequency = np.fft.fftfreq(501)[:, None] * 2
+        error = np.exp(1j * (25 * frequency**2 + 12 * frequency**3))
+        blurred = np.fft.ifft(np.fft.fft(there, axis=0) * error, axis=0).astype(np.complex64)
+        found = featreg.match(images[i], blurred, method="rc-obcls")
+        turn = (found.model.rotation_deg - degrees + 180) % 360 - 180 if found.model else np.inf
+        assert found.status == "unreliable" or abs(turn) < 0.15

@@ -167,8 +167,9 @@ def test_the_wheel_works_in_an_empty_environment(wheel: Path, tmp_path: Path) ->
     home, version, detectors, broken = json.loads(run(str(python), "-c", code, cwd=tmp_path).splitlines()[-1])
     assert Path(home).is_relative_to(tmp_path)
     assert version == featreg.__version__
-    assert detectors == featreg.available("detector")
-    assert broken == {}
+    # Without the extra the learned methods are listed with what is missing.
+    assert detectors == [name for name in featreg.available("detector") if not name.startswith("kornia-")]
+    assert all("kornia" in name and "featreg[torch]" in why for name, why in broken.items()), broken
     listed = run(str(python.with_name("featreg")), "list", cwd=tmp_path)
     assert "sar-ofast" in listed
     assert "sar-orb" in listed

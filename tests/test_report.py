@@ -32,7 +32,7 @@ from featreg.report import pictures as report_pictures
 from featreg.report.content import content
 from featreg.report.page import render
 from featreg.report.pictures import picture
-from featreg.report.tie_points import JUDGED, lattice, tie_points
+from featreg.report.tie_points import INLIER, JUDGED, SCORED, lattice, tie_points
 from featreg.types import FloatArray, Image, Matches, Registration
 
 TRUTH = Affine(np.array([[1.0, -0.03, 5.0], [0.04, 1.01, -3.0]]))
@@ -239,14 +239,15 @@ def test_tie_points_come_back_as_they_were(size: tuple[int, int]) -> None:
     np.testing.assert_array_equal(got["flags"] & JUDGED > 0, known[order])
 
 
-def test_of_too_many_tie_points_the_final_ones_stay() -> None:
+def test_of_too_many_tie_points_the_scored_ones_stay() -> None:
     made = registration(300)
-    final = int(made.inliers.sum())
-    points = tie_points(ReportEntry("a", "m", 0, made), None, 1.5, final + 20)
+    made = replace(made, inliers=~made.stages["gms"])
+    scored = int(made.stages["gms"].sum())
+    points = tie_points(ReportEntry("a", "m", 0, made), None, 1.5, scored + 20)
     flags = unpacked(points)["flags"]
-    assert (points.shown, points.total) == (final + 20, 300)
-    assert int((flags & 1 > 0).sum()) == final
-    assert int((flags & 3 > 0).sum()) == final + 20
+    assert (points.shown, points.total) == (scored + 20, 300)
+    assert int((flags & SCORED > 0).sum()) == points.counts["scored"] == scored
+    assert int((flags & INLIER > 0).sum()) == 20
 
 
 def test_results_without_points_or_model_are_packed_too() -> None:

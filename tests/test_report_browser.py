@@ -299,7 +299,8 @@ def test_the_secondary_is_aligned_by_the_model(visit: Callable[..., Visit], sar_
     for key in ("Home", "End"):
         seen.page.get_by_label("Reference up to").press(key)
         png = base64.b64decode(seen.picture().split(b",")[1])
-        shown.append(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_GRAYSCALE).astype(float))
+        decoded: Any = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_GRAYSCALE)
+        shown.append(decoded.astype(float))
     height, width = shown[0].shape
     a, b = (s[height // 4 : -height // 4, width // 3 : -width // 3] for s in shown)
     assert np.corrcoef(a.ravel(), b.ravel())[0, 1] > 0.95

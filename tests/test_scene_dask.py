@@ -33,7 +33,6 @@ class Cluster:
 
 @pytest.fixture
 def cluster(tmp_path: Path) -> Iterator[Cluster]:
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     environment = {
         **os.environ,
         "OMP_NUM_THREADS": "1",
@@ -45,8 +44,11 @@ def cluster(tmp_path: Path) -> Iterator[Cluster]:
         def start(*command: str) -> subprocess.Popen[bytes]:
             process = subprocess.Popen(
                 [sys.executable, "-m", "distributed.cli." + command[0], *command[1:]],
-                cwd=tmp_path, env=environment, **quiet,
-            )  # type: ignore[call-overload]  # fmt: skip
+                cwd=tmp_path,
+                env=environment,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )
             stack.callback(process.wait)
             stack.callback(process.kill)
             return process

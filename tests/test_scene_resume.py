@@ -17,7 +17,7 @@ import pytest
 import featreg
 from featreg.types import Registration
 
-BLOCK = {"block": 200, "workers": 1}
+BLOCK: dict[str, Any] = {"block": 200, "workers": 1}
 COMMAND = [sys.executable, "-m", "featreg.cli", "match"]
 
 

@@ -173,7 +173,8 @@ def test_geodetic_coordinates() -> None:
 def test_a_sicd_without_sarkit_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "scene.nitf"
     path.write_bytes(b"NITF02.10" + b" " * 500 + b'<SICD xmlns="urn:SICD:1.4.0">')
-    monkeypatch.setitem(sys.modules, "sarkit", None)
+    for name in ("sarkit", "sarkit.sicd"):
+        monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(InputError, match=r"pip install 'featreg\[sicd\]'"):
         as_image(path)
     monkeypatch.undo()

@@ -60,7 +60,8 @@ class MarkedPoints:
             start = np.hstack([known.reference_xy, known.secondary_xy])
         self._history: list[FloatArray] = [start]
         self._now = 0
-        self._lock = RLock()
+        #: Held by whoever changes the points or reads more than one thing of them.
+        self.lock = RLock()
 
     @property
     def points(self) -> FloatArray:
@@ -99,7 +100,7 @@ class MarkedPoints:
 
     def state(self) -> dict[str, Any]:
         """Everything the page shows, as JSON has it."""
-        with self._lock:
+        with self.lock:
             model, fitted = self.model, _fit(self.points)
             rows = [
                 {"reference": row[:2], "secondary": row[2:], "residual": residual, "left_out": left_out}
@@ -167,7 +168,7 @@ class MarkedPoints:
         return index
 
     def _step(self, points: FloatArray) -> None:
-        with self._lock:
+        with self.lock:
             before = self._history, self._now
             self._history = [*self._history[: self._now + 1], points]
             self._now += 1
@@ -178,7 +179,7 @@ class MarkedPoints:
                 raise
 
     def _go(self, to: int) -> None:
-        with self._lock:
+        with self.lock:
             before, self._now = self._now, to
             try:
                 self.save()

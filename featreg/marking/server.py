@@ -109,8 +109,9 @@ def answer(points: MarkedPoints, given: dict[str, Any]) -> dict[str, Any]:
     values = {key: value for key, value in given.items() if key != "action"}
     if set(values) != set(wanted):
         raise ParameterError(f"{name} takes {', '.join(wanted) or 'nothing'}, got {', '.join(values) or 'nothing'}")
-    made = call(**values)
-    return {"xy": made} if name == "predict" else points.state() | {"tile": TILE}
+    with points.lock:
+        made = call(**values)
+        return {"xy": made} if name == "predict" else points.state() | {"tile": TILE}
 
 
 class Guard:

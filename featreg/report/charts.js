@@ -175,6 +175,11 @@ function timeChart() {
   if (!rows.length || !stages.length) return null;
   const step = 38, left = 150, right = 70, height = rows.length * step + 46;
   const longest = Math.max(...rows.map((row) => row.of.reduce((a, b) => a + b, 0))) || 1;
+  // As many stages as there are colours; the shortest are drawn together.
+  const ranked = stages.map((_, s) => s).sort((a, b) => Math.max(...rows.map((row) => row.of[b])) - Math.max(...rows.map((row) => row.of[a])));
+  const own = stages.length > 8 ? ranked.slice(0, 7).sort((a, b) => a - b) : stages.map((_, s) => s);
+  const names = own.map((s) => stages[s]).concat(stages.length > 8 ? ["others"] : []);
+  const parts = (row) => own.map((s) => row.of[s]).concat(stages.length > 8 ? [row.of.reduce((sum, v, s) => sum + (own.includes(s) ? 0 : v), 0)] : []);
   const root = drawing("Mean time of each method by stage", W, height);
   const x = (v) => left + (v / longest) * (W - left - right);
   for (const v of ticks(0, longest, 4))
@@ -184,18 +189,18 @@ function timeChart() {
     const y = 10 + i * step;
     let sum = 0;
     root.append(shape("text", { class: "label", x: left - 10, y: y + 17, "text-anchor": "end" }, row.name.length > 20 ? `${row.name.slice(0, 19)}…` : row.name));
-    row.of.forEach((seconds, s) => {
+    parts(row).forEach((seconds, s) => {
       const wide = x(sum + seconds) - x(sum);
       if (seconds > 0) {
         root.append(shape("rect", { class: `bar c${s % 8}`, x: x(sum), y, width: Math.max(0.5, wide), height: 24 },
-          shape("title", {}, `${row.name}, ${stages[s]}: ${number(seconds)} s`)));
-        if (wide > 7 * stages[s].length + 6) root.append(shape("text", { class: "inbar", x: x(sum) + wide / 2, y: y + 16, "text-anchor": "middle" }, stages[s]));
+          shape("title", {}, `${row.name}, ${names[s]}: ${number(seconds)} s`)));
+        if (wide > 7 * names[s].length + 6) root.append(shape("text", { class: "inbar", x: x(sum) + wide / 2, y: y + 16, "text-anchor": "middle" }, names[s]));
       }
       sum += seconds;
     });
     root.append(shape("text", { class: "value", x: x(sum) + 6, y: y + 17 }, `${number(sum)} s`));
   });
-  const key = el("ul", { class: "legend" }, ...stages.map((stage, s) => el("li", {}, shape("svg", { class: "swatch", viewBox: "0 0 26 12", "aria-hidden": "true" }, shape("rect", { class: `bar c${s % 8}`, width: 26, height: 12 })), stage)));
+  const key = el("ul", { class: "legend" }, ...names.map((stage, s) => el("li", {}, shape("svg", { class: "swatch", viewBox: "0 0 26 12", "aria-hidden": "true" }, shape("rect", { class: `bar c${s % 8}`, width: 26, height: 12 })), stage)));
   return figure("Time by stage", "mean over the runs that gave a result", root, key,
     numbers("Mean seconds by stage", ["method", ...stages, "all"], rows.map((row) => [row.name, ...row.of.map((v) => number(v)), number(row.of.reduce((a, b) => a + b, 0))])));
 }

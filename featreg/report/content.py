@@ -21,7 +21,7 @@ from featreg.truth import Truth
 from featreg.types import FloatArray, Registration
 
 #: Tie points of one result that are kept at most, and at least; base64 letters of all of them together.
-MOST, LEAST, LETTERS = 5000, 200, 9_400_000
+MOST, LEAST, LETTERS = 8000, 200, 9_400_000
 CURVE = tuple(range(1, 11))
 
 

@@ -59,6 +59,7 @@ function runsTable() {
     cell: (row, column) => {
       if (column.name === "status" && row.status) return badge(row.status);
       if (column.name === "method") return el("span", {}, swatch(kindOf(row.method)), row.method);
+      if (column.name === "reason" && row.reason) return el("span", { class: "clamp", title: row.reason }, row.reason);
       if (column.name !== "pair") return null;
       const entry = study.entries[index(row)];
       return entry ? el("a", { href: "#pairs", onclick: (event) => { event.preventDefault(); viewer.go({ pair: entry.pair, method: entry.method, seed: entry.seed }, true); } }, row.pair) : null;
@@ -114,9 +115,9 @@ function start() {
   theme();
   verdict();
   const tables = [summaryTable(), differenceTable(), runsTable()].filter(Boolean);
-  const charts = [intervalChart(), curveChart(), scatterChart(), timeChart(), heatMap()].filter(Boolean);
+  const charts = [intervalChart(), timeChart(), curveChart(), scatterChart(), heatMap()].filter(Boolean);
   const sections = [
-    tables.length ? section("results", "Results", el("p", { class: "note" }, "★ marks the best of its column, among the methods on the same pair; headings sort."), ...tables) : null,
+    tables.length ? section("results", "Results", el("p", { class: "note" }, "★ marks the best of its column, among the methods on the same pair; headings sort. Why a result is not trusted stands whole under Failures and refusals."), ...tables) : null,
     charts.length ? section("charts", "Charts", el("div", { class: "cards" }, ...charts)) : null,
     viewer?.section() ?? el("p", { class: "notice" }, "The study holds no results."),
     troubles(),

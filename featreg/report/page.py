@@ -15,7 +15,17 @@ from featreg.report.study import ReportStudy
 from featreg.result_file import write_atomic
 
 #: The parts of the page's code, in the order in which they build on each other.
-SCRIPTS = ("dom.js", "data.js", "table.js", "charts.js", "canvas.js", "viewer.js", "main.js")
+SCRIPTS = (
+    "dom.js",
+    "data.js",
+    "table.js",
+    "charts.js",
+    "canvas.js",
+    "painting.js",
+    "handling.js",
+    "viewer.js",
+    "main.js",
+)
 STYLE, TEMPLATE = "report.css", "report.html"
 
 
@@ -34,7 +44,7 @@ def write_report(path: str | Path, study: ReportStudy) -> None:
 
     Notes
     -----
-    Equal studies give equal bytes. The page holds at most 5000 tie points of one result and fewer where there are many
+    Equal studies give equal bytes. The page holds at most 8000 tie points of one result and fewer where there are many
     results, and pictures of at most 1024 pixels, so that 20 pairs by five methods stay below 15 MB; it says where
     it leaves something out.
     """

@@ -42,7 +42,7 @@ class TiePoints:
 
 
 def tie_points(entry: ReportEntry, errors: FloatArray | None, threshold: float, limit: int) -> TiePoints:
-    """Return the tie points of a result, at most `limit` of them: final ones first, then scored ones, spread out.
+    """Return the tie points of a result, at most `limit` of them: scored ones first, then final ones, spread out.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def _chosen(xy: FloatArray, score: FloatArray, inliers: BoolArray, scored: BoolA
         return np.arange(len(xy))
     kept: list[NDArray[np.int64]] = []
     room = limit
-    for group in (inliers, scored & ~inliers, ~scored & ~inliers):
+    for group in (scored, inliers & ~scored, ~scored & ~inliers):
         rows = np.flatnonzero(group)
         rows = rows[spread_out(xy[rows], np.nan_to_num(score[rows]), room)] if room and len(rows) else rows[:0]
         kept.append(rows)

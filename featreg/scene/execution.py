@@ -128,6 +128,25 @@ def can_fork() -> bool:
         return False
 
 
+def keep_freed_memory() -> None:
+    """Let this process keep the memory that a block gives back for the next one; a process of ours only.
+
+    The C library of Linux returns large arrays to the system at once, and the faults of their pages, taken anew for
+    each block, cost a sixth of its time (measured). Elsewhere nothing happens.
+    """
+    if sys.platform != "linux":
+        return
+    import ctypes
+
+    try:
+        mallopt = ctypes.CDLL(None).mallopt
+    except (OSError, AttributeError):
+        return
+    mmap_threshold, trim_threshold = -3, -1
+    mallopt(mmap_threshold, 32 << 20)
+    mallopt(trim_threshold, 256 << 20)
+
+
 class _Serial:
     own_process = False
 
@@ -242,6 +261,7 @@ class _Processes:
 def _start_worker(parent: int) -> None:
     """Leave Ctrl-C to the parent, end with it, and use one thread."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    keep_freed_memory()
     # Inherited through a fork, the variables are late for the libraries, but not for those still to be imported.
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
 

@@ -23,8 +23,6 @@ from featreg.types import Matches, Registration
 OVERVIEW = 1000
 #: Pixels of an overview by which its match may be off.
 COARSE_PX = 3.0
-#: Stands for the map of images that could not be brought together.
-NOWHERE = Affine(np.eye(3)[:2])
 
 logger = logging.getLogger(__name__)
 
@@ -37,14 +35,14 @@ def first_prior(
     seed: int,
     initial: Model | None,
     search_radius: float | None,
-) -> tuple[Prior, Window, Registration | None]:
+) -> tuple[Prior, Window] | Registration:
     """Prior and overlap from the model given, the geolocation, or a coarse match, whose failure is the result."""
     shapes = reference.shape, secondary.shape
     if initial is not None:
-        return *from_model(initial, float(search_radius or 0), "initial model", shapes), None
+        return from_model(initial, float(search_radius or 0), "initial model", shapes)
     if reference.geolocation is not None and secondary.geolocation is not None:
         try:
-            return *from_sensors(reference, secondary, heights), None
+            return from_sensors(reference, secondary, heights)
         except InputError as error:
             # A transform without a coordinate system, for example, does not locate an image.
             if not _unlocated(reference, secondary):
@@ -52,21 +50,14 @@ def first_prior(
             logger.info("no prior from the geolocation: %s", error)
     plain = pipeline if not issubclass(pipeline.model, RpcBias) else replace(pipeline, model=Affine)
     result, model = coarse_match(plain, reference, secondary, seed)
-    prior, area = from_model(
-        model if result.status == "ok" else NOWHERE,
-        coarse_uncertainty(reference, secondary),
-        "coarse match of overviews",
-        shapes,
-    )
     if result.status == "ok":
-        return prior, area, None
+        return from_model(model, coarse_uncertainty(reference, secondary), "coarse match of overviews", shapes)
     reason = f"without geolocation the prior is a match of the overviews, which failed: {result.reason}"
     provenance = {**result.provenance, "inputs": inputs_of_sources(reference, secondary)}
-    none = Registration(
+    return Registration(
         Matches.empty(), {}, np.zeros(0, np.bool_), FailedFit(reason), "unreliable", reason,
         provenance=provenance, timings=result.timings,
     )  # fmt: skip
-    return prior, area, none
 
 
 def _unlocated(*sources: Source) -> bool:
@@ -126,7 +117,7 @@ def coarse_match(pipeline: Pipeline, reference: Source, secondary: Source, seed:
     factor = max(1, math.ceil(max(*reference.shape, *secondary.shape) / OVERVIEW))
     result = pipeline.run(reference.overview(factor), secondary.overview(factor), seed=seed)
     if isinstance(result.model, FailedFit) or result.model.matrix is None:
-        return result, NOWHERE
+        return result, Affine(np.eye(3)[:2])
     # The pixel (x, y) of an overview has its centre at factor * x + (factor - 1) / 2.
     up = np.array([[factor, 0, (factor - 1) / 2], [0, factor, (factor - 1) / 2], [0, 0, 1]], np.float64)
     matrix = up @ result.model.matrix @ np.linalg.inv(up)

@@ -13,9 +13,13 @@ from featreg.scene.task import BlockResult, survivors
 from featreg.types import IntArray
 
 
-def block_table(blocks: Sequence[Block], results: Sequence[BlockResult], owners: IntArray) -> dict[str, list[Any]]:
+def with_final(table: dict[str, list[Any]], owners: IntArray) -> dict[str, list[Any]]:
+    """The block table with how many of the final tie points each block owns."""
+    return {**table, "final": np.bincount(owners, minlength=len(table["status"])).tolist()}
+
+
+def block_table(blocks: Sequence[Block], results: Sequence[BlockResult]) -> dict[str, list[Any]]:
     """One row a block, in columns."""
-    final = np.bincount(owners, minlength=len(blocks))
     by_index = {r.index: r for r in results}
     ordered = [by_index[block.index] for block in blocks]
     return {
@@ -30,7 +34,6 @@ def block_table(blocks: Sequence[Block], results: Sequence[BlockResult], owners:
         "putative": [len(r.matches) for r in ordered],
         "kept": [int(survivors(r).sum()) for r in ordered],
         "refined": [len(r.refined) for r in ordered],
-        "final": final.tolist(),
     }
 
 

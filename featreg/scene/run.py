@@ -26,7 +26,7 @@ from featreg.scene.execution import Canceller, Lane, open_lane
 from featreg.scene.first_prior import first_prior
 from featreg.scene.merge import Merged, accuracy, block_gates, concatenated, fit_refined, merge
 from featreg.scene.prior import Prior, corrected
-from featreg.scene.record import block_table, inputs_of_sources, seconds_of
+from featreg.scene.record import block_table, inputs_of_sources, seconds_of, with_final
 from featreg.scene.state import BlockFiles, digest_of
 from featreg.scene.task import BlockResult, Job, run_block, survivors
 from featreg.timing import collecting, stage
@@ -117,26 +117,31 @@ def match_scene(
     matcher = pipeline.matcher
     if matcher is None:
         raise ParameterError("this pipeline has no matcher: give it one, or use featreg.fit with tie points")
-    with ExitStack() as stack, collecting() as timings:
-        lane = stack.enter_context(open_lane(options.executor, options.workers))
-        shared = _shareable(reference, secondary, lane, stack)
-        heights = options.heights()
-        pipeline = _bound(pipeline, reference, secondary, heights)
-        with stage("prior"):
-            prior, area, failure = first_prior(pipeline, reference, secondary, heights, seed, initial, search_radius)
-        if failure is not None:
-            return failure
-        blocks = plan_blocks(area, options.block)
-        pipeline = replace(pipeline, n_features=pipeline.n_features * len(blocks))
-        job = _job(pipeline, matcher, *shared, seed, lane, len(blocks))
-        with stage("prior"):
-            prior = _piloted(job, prior, blocks, lane, options.cancel, seed)
-        with stage("blocks"):
-            results, counts = _all_blocks(job, prior, blocks, lane, options, pipeline, (reference, secondary))
-        names = ["prior", *(name for name, _ in job.filters)]
-        merged = merge(results, names)
+    heights = options.heights()
+    with collecting() as timings:
+        with ExitStack() as stack:
+            lane = stack.enter_context(open_lane(options.executor, options.workers))
+            shared = _shareable(reference, secondary, lane, stack)
+            pipeline = _bound(pipeline, reference, secondary, heights)
+            with stage("prior"):
+                found = first_prior(pipeline, reference, secondary, heights, seed, initial, search_radius)
+            if isinstance(found, Registration):
+                return found
+            prior, area = found
+            blocks = plan_blocks(area, options.block)
+            pipeline = replace(pipeline, n_features=pipeline.n_features * len(blocks))
+            job = _job(pipeline, matcher, *shared, seed, lane, len(blocks))
+            with stage("prior"):
+                prior = _piloted(job, prior, blocks, lane, options.cancel, seed)
+            with stage("blocks"):
+                results, counts = _all_blocks(job, prior, blocks, lane, options, pipeline, (reference, secondary))
+        # The workers are gone, and the columns of the blocks go once they are put together: what is left to do needs
+        # the memory more.
+        record = {**counts, "size": options.block}, block_table(blocks, results), seconds_of(results)
+        merged = merge(results, ["prior", *(name for name, _ in job.filters)])
+        results.clear()
         return _finished(
-            pipeline, merged, blocks, results, counts, prior, reference, secondary, options,
+            pipeline, merged, blocks, record, prior, reference, secondary, options,
             seed=seed, initial=initial, search_radius=search_radius, timings=timings,
         )  # fmt: skip
 
@@ -264,8 +269,7 @@ def _finished(
     pipeline: Pipeline,
     merged: Merged,
     blocks: Sequence[Block],
-    results: Sequence[BlockResult],
-    counts: Mapping[str, int],
+    record: tuple[dict[str, int], dict[str, list[Any]], dict[str, float]],
     prior: Prior,
     reference: Source,
     secondary: Source,
@@ -278,7 +282,8 @@ def _finished(
 ) -> Registration:
     """Global filters, model, refined model and trust over the tie points of all blocks."""
     owners: list[IntArray] = [merged.blocks]
-    tried = sum(r.status == "done" for r in results)
+    counts, table, seconds = record
+    tried = table["status"].count("done")
 
     def refine(first: Model) -> Any:
         limit = pipeline.refine.max_residual if pipeline.refine is not None else 1.0
@@ -305,12 +310,12 @@ def _finished(
         provenance={
             **result.provenance,
             "inputs": inputs_of_sources(reference, secondary),
-            "blocks": {**counts, "size": options.block},
-            "block_table": block_table(blocks, results, everyone[result.inliers]),
+            "blocks": counts,
+            "block_table": with_final(table, everyone[result.inliers]),
             "tie_point_blocks": everyone,
             "prior": prior.record(),
             "heights": options.heights().to_dict(),
             "accuracy": accuracy(result.model, final, result.gates, reference.shape),
-            "block_seconds": seconds_of(results),
+            "block_seconds": seconds,
         },
     )

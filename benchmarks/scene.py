@@ -1,0 +1,125 @@
+"""Time and memory of a scene pair in blocks, against its area and the number of workers.
+
+    python benchmarks/scene.py OUT [--sizes 2500x2750,5000x5500] [--workers 1,2] [--block 600]
+
+Simulates each pair once (kept in OUT), then runs `featreg match` on it as a user would and measures from outside: wall
+time, processor time of all processes, largest proportional memory of the command and of all its processes together
+(Linux only), and the error of the model on the truth.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from featreg.simulate_scene import read_scene_truth, simulate_scene
+from featreg.types import Registration
+
+
+def pair(folder: Path, rows: int, cols: int) -> Path:
+    """The folder of the pair of that size, simulated where it is not there yet."""
+    place = folder / f"{rows}x{cols}"
+    if not (place / "truth.json").exists():
+        print(f"simulating {rows} x {cols}", file=sys.stderr)
+        simulate_scene(place, (rows, cols), relief=100.0, seed=rows)
+    return place
+
+
+def proportional(process: int) -> int:
+    """Proportional set size in bytes: shared pages count once over all processes that share them."""
+    try:
+        with open(f"/proc/{process}/smaps_rollup") as lines:
+            return sum(int(line.split()[1]) * 1024 for line in lines if line.startswith("Pss:"))
+    except OSError:
+        return 0
+
+
+def family(process: int) -> list[int]:
+    """A process and all below it."""
+    found, todo = [], [process]
+    while todo:
+        one = todo.pop()
+        found.append(one)
+        for children in Path(f"/proc/{one}/task").glob("*/children"):
+            try:
+                todo += [int(child) for child in children.read_text().split()]
+            except OSError:
+                continue
+    return found
+
+
+def measured(place: Path, workers: int, block: int) -> dict[str, Any]:
+    """Run the command on a pair; what it took and how well it did."""
+    out = place / "result.json"
+    images = [str(place / "reference.tif"), str(place / "secondary.tif")]
+    command = [sys.executable, "-m", "featreg.cli", "match", *images, "--dem", str(place / "dem.tif")]
+    command += ["--model", "rpc-bias", "--block", str(block), "--workers", str(workers), "--json", str(out)]
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    start = time.perf_counter()
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    peak = {"all": 0, "command": 0}
+
+    def watch() -> None:
+        while process.poll() is None:
+            sizes = [proportional(p) for p in family(process.pid)]
+            peak["all"], peak["command"] = max(peak["all"], sum(sizes)), max(peak["command"], sizes[0])
+            time.sleep(0.1)
+
+    watcher = threading.Thread(target=watch)
+    watcher.start()
+    code = process.wait()
+    seconds = time.perf_counter() - start
+    watcher.join()
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    if code != 0:
+        raise SystemExit(f"featreg match ended with {code}")
+    result = Registration.from_json(out)
+    width, height = (result.provenance["inputs"]["reference"][k] for k in ("width", "height"))
+    x, y = np.meshgrid(np.linspace(0.1, 0.9, 9) * width, np.linspace(0.1, 0.9, 9) * height)
+    grid = np.column_stack([x.ravel(), y.ravel()])
+    off = np.zeros(1) if not result.model else result.model(grid) - read_scene_truth(place / "truth.json")(grid)
+    processor = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    blocks = result.provenance["blocks"]["total"]
+    return {
+        "size": f"{height} x {width}",
+        "workers": workers,
+        "blocks": blocks,
+        "wall s": round(seconds, 2),
+        "processor s": round(processor, 2),
+        "ms a block": round(1000 * sum(result.provenance["block_seconds"].values()) / blocks, 1),
+        "ns a pixel": round(1e9 * processor / (width * height), 1),
+        "MB command": peak["command"] >> 20,
+        "MB all": peak["all"] >> 20,
+        "tie points": int(result.inliers.sum()),
+        "grid RMSE px": round(float(np.sqrt(np.mean(np.sum(np.atleast_2d(off) ** 2, axis=1)))), 4),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--sizes", default="2500x2750,5000x5500")
+    parser.add_argument("--workers", default="1,2")
+    parser.add_argument("--block", type=int, default=600)
+    given = parser.parse_args()
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    for size in given.sizes.split(","):
+        rows, cols = (int(n) for n in size.split("x"))
+        place = pair(given.out, rows, cols)
+        measured(place, 1, given.block)  # compiled kernels and page cache
+        for workers in given.workers.split(","):
+            print(json.dumps(measured(place, int(workers), given.block)), flush=True)
+
+
+if __name__ == "__main__":
+    main()
