@@ -235,8 +235,8 @@ def _describe(result: Registration) -> str:
         sx, sy = errors["shift_se_px"]
         return (
             f"{model_name(type(model))}: rotation {rotation:+.3f} +- {errors['rotation_deg_se']:.3f} deg "
-            f"counter-clockwise, shift ({dx:+.2f} +- {sx:.2f}, {dy:+.2f} +- {sy:.2f}) px (right, down), standard errors, "
-            "at the image centre"
+            f"counter-clockwise, shift ({dx:+.2f} +- {sx:.2f}, {dy:+.2f} +- {sy:.2f}) px (right, down), "
+            "with standard errors, at the image centre"
         )
     return (
         f"{model_name(type(model))}: rotation {rotation:+.3f} deg counter-clockwise, scale {zoom:.5f}, "

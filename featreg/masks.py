@@ -58,7 +58,7 @@ def _nonzero(samples: NDArray[Any], shape: tuple[int, int], what: str) -> BoolAr
 
 
 def polygons_of(mask: Any, name: str) -> list[FloatArray]:
-    """Return the polygons, each (K, 2) float64, of one polygon or a list of them; an `InputError` where it is neither."""
+    """Return one polygon or a list of them as a list of (K, 2) float64; an `InputError` where it is neither."""
     wanted = "a mask is an (H, W) array, a file, a (K, 2) polygon of (x, y) with K >= 3, or a list of polygons"
     try:
         single = np.ndim(mask[0]) == 1

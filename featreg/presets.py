@@ -97,13 +97,13 @@ def _opencv(name: str, *, ratio: float = 1.0) -> Preset:
 # Peaks are sought within a patch, so that chance agrees more easily than over the whole image, to which the gate holds
 # it; true pairs of real apertures reach -25 to -240 and 0.04 to 0.1 px, wrong ones -21 and 0.8 px at best. Patches
 # overlap, so the true uncertainty is larger than the one computed, most where only part of the scene agrees.
-# A defocused secondary is stretched by 0.3 to 1 %, true pairs of real apertures by 0.15 % at most (0.3 % where they
-# are half as long); with a dilution above 1 the tie points huddle in a quarter of the scene. `benchmarks/rotation.py`.
+# A defocused secondary is distorted by 0.7 to 2.5 px, true pairs of real apertures by 0.3 px at most (0.6 px where they
+# are half as long); with a dilution above 1 the tie points huddle in a quarter of the scene.
 _TARGETS_TRUST = {
-    "least_inliers": 8, "significance": -20.0, "uncertainty_px": 0.15, "distortion": 0.003, "dilution": 1.0
+    "least_inliers": 8, "significance": -20.0, "uncertainty_px": 0.15, "distortion_px": 0.6, "dilution": 1.0
 }  # fmt: skip
 # Hundreds of refined tie points, none of them far from the model: less is wrong already.
-_REFINED_TRUST = {"uncertainty_px": 0.06, "distortion": 0.0015, "dilution": 0.9}
+_REFINED_TRUST = {"uncertainty_px": 0.06, "distortion_px": 0.3, "dilution": 0.9}
 # Centroids are associated over the whole image, so that chance has all of it.
 _SIGNIFICANCE = {"c": -12.0, "cc": -20.0}
 # The letter's threshold leaves few tie points, and a single pass pulls the rotation towards 0: results whose own error

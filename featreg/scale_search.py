@@ -105,11 +105,11 @@ class ScaleSearch(Matcher):
     def match(self, reference: Image, secondary: Image) -> Matches:
         """Return the matches at the best scale; empty where no scale has a consensus, or where two rival ones do."""
         trials = [self._at(reference, secondary, ratio, self.trial_features) for ratio in self.ratios]
-        trials = sorted((t for t in trials if t is not None), key=lambda t: -t.places)
-        if not trials:
+        found = sorted((t for t in trials if t is not None), key=lambda t: -t.places)
+        if not found:
             return Matches.empty()
-        best = trials[0]
-        rival = max((t.places for t in trials if not _agree(t.model, best.model, reference)), default=0)
+        best = found[0]
+        rival = max((t.places for t in found if not _agree(t.model, best.model, reference)), default=0)
         if rival > self.rivalry * best.places:
             logger.info("no matches: %d places agree on one alignment, %d on quite another", best.places, rival)
             return Matches.empty()

@@ -26,9 +26,9 @@ def standard_errors(registration: Registration) -> dict[str, Any]:
     """
     model = registration.model
     size = (registration.provenance.get("inputs") or {}).get("reference") or {}
-    if not isinstance(model, Rigid) or not registration.inliers.any() or None in (size.get("width"), size.get("height")):
-        return {}
     chosen, matches, residuals = registration.inliers, registration.matches, registration.residuals()
+    if not isinstance(model, Rigid) or not chosen.any() or None in (size.get("width"), size.get("height")):
+        return {}
     parameters = registration.provenance.get("parameters") or {}
     if registration.putative[chosen].all():
         cut = selection_cut(residuals[chosen], residuals[registration.putative & ~chosen])

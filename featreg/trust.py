@@ -42,8 +42,8 @@ class Limits:
     stability_px : root mean square over the image of the model's jackknife error, regions of tie points left out, at
         most
     anisotropy : largest ratio of the model's two scales
-    distortion : stretch, shear or zoom of the tie points beyond what a translation, rigid or similarity model can hold,
-        as a share of lengths, at most; inf for no such gate
+    distortion_px : root mean square over the image of what a stretch, shear or zoom of the tie points adds to a
+        translation, rigid or similarity model, at most; inf for no such gate
     dilution : error of the model over the image for an error of one pixel per place of tie points, at most; inf for no
         such gate
     block_share : of a scene's blocks with content, the share that must hold a final tie point
@@ -60,7 +60,7 @@ class Limits:
     block_share: float = 0.1
     held_out_rmse_px: float = 2.0
     stability_px: float = 1.5
-    distortion: float = math.inf
+    distortion_px: float = math.inf
     dilution: float = math.inf
 
 
@@ -133,12 +133,12 @@ def assess(
         "error of the model over the image by leaving out regions of tie points, px",
         high=limits.stability_px,
     )
-    if math.isfinite(limits.distortion) and type(model).minimum < Affine.minimum:
+    if math.isfinite(limits.distortion_px) and type(model).minimum < Affine.minimum:
         gate(
             "distortion",
-            distortion(model, matches.reference_xy, matches.secondary_xy),
-            "stretch or shear between the images that the model cannot hold, as a share of lengths",
-            high=limits.distortion,
+            distortion(model, matches.reference_xy, matches.secondary_xy, reference_shape),
+            "stretch or shear between the images that the model cannot hold, px over the image",
+            high=limits.distortion_px,
         )
     if math.isfinite(limits.dilution):
         gate(
@@ -276,12 +276,12 @@ def instability(model: Model, reference_xy: FloatArray, secondary_xy: FloatArray
     return _overall(covariance)
 
 
-def distortion(model: Model, reference_xy: FloatArray, secondary_xy: FloatArray) -> float:
-    """Stretch, shear or zoom, as a share of lengths, of the tie points near a model that cannot hold it.
+def distortion(model: Model, reference_xy: FloatArray, secondary_xy: FloatArray, shape: tuple[int, int]) -> float:
+    """Root mean square in pixels over an image of (H, W) of a stretch, shear or zoom that a model cannot hold.
 
-    The symmetric part of what an affine model, fitted robustly to all tie points within 8 px of the model, does beyond
-    it; for a stretch by e along one axis and -e across it is e. Scenes seen out of focus or from elsewhere differ so:
-    the rigid model then fits a part of the scene only, and turns by about as much. NaN where it cannot be told.
+    It is the symmetric part of what an affine model, fitted robustly to all tie points within 8 px of the model, does
+    beyond it. A scene out of focus differs so: the rigid model then fits a part of it only, and turns by about as much.
+    NaN where it cannot be told.
     """
     near = model.residuals(reference_xy, secondary_xy) <= NEAR_PX
     affine, _ = irls(Affine, reference_xy[near], secondary_xy[near], scale_px=AFFINE_SCALE_PX, iterations=10)
@@ -289,7 +289,8 @@ def distortion(model: Model, reference_xy: FloatArray, secondary_xy: FloatArray)
         return math.nan
     beyond = affine.matrix[:2, :2] @ np.linalg.inv(local_linear(model, reference_xy[near].mean(axis=0)))
     strain = (beyond + beyond.T) / 2 - np.eye(2)
-    return float(np.sqrt((strain**2).sum() / 2))
+    # A square of side s has the root mean square distance s / sqrt(6) from its centre.
+    return float(np.sqrt((strain**2).sum() / 2 * (shape[0] ** 2 + shape[1] ** 2) / 12))
 
 
 def dilution_over(model: Model, reference_xy: FloatArray, secondary_xy: FloatArray, shape: tuple[int, int]) -> float:

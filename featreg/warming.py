@@ -32,6 +32,7 @@ def warm_up() -> None:
     """
     import numpy as np
 
+    from featreg.focusing import focus
     from featreg.matching import match
     from featreg.presets import PRESETS
     from featreg.resample import warp
@@ -40,13 +41,19 @@ def warm_up() -> None:
     pair = sar_pair(SHAPE, rotation_deg=3.0, scale=1.0, shift=(2.0, 1.0))
     mask = np.ones(SHAPE, np.bool_)
     mask[:20, :30] = False
-    # What kornia's methods compile of ours, the others do too.
-    for method in (name for name in PRESETS if not name.startswith("kornia-")):
+    real = (pair.reference, pair.secondary)
+    complex_ = tuple(image.astype(np.complex64) for image in real)
+    for method, preset in PRESETS.items():
+        # What kornia's methods compile of ours, the others do too.
+        if method.startswith("kornia-"):
+            continue
+        coherent = preset.matcher is not None and preset.matcher.parameters.get("tie_points") == "cc"
         for valid in (None, mask):
-            match(pair.reference, pair.secondary, method=method, reference_mask=valid, secondary_mask=valid)
-    result = match(pair.reference, pair.secondary, refine=False)
-    for image in (pair.secondary, pair.secondary.astype(np.complex64)):
+            match(*(complex_ if coherent else real), method=method, reference_mask=valid, secondary_mask=valid)
+    result = match(*real, refine=False)
+    for image in (real[1], complex_[1]):
         warp(result, image, like=SHAPE)
+    focus(complex_[1])
 
 
 def kernels_cached() -> Mapping[str, bool]:

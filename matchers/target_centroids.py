@@ -33,9 +33,9 @@ class TargetCentroids(Matcher):
     ----------
     tie_points : where they are put: "c" (centroids), "cc" (peak of the complex correlation of patches), "rc" (peak of
         the correlation of their amplitudes)
-    association : "vote" (pairwise distances and shifts vote, any rotation; where they agree on nothing, as on one of 300
-        turned parking lots, the spectra are asked), "fourier-mellin" (the spectra give rotation and shift, targets the
-        rest), "nearest" (least distance, for nearly aligned images)
+    association : "vote" (pairwise distances and shifts vote, any rotation; where they agree on nothing, as in one of
+        300 turned parking lots, the spectra are asked), "fourier-mellin" (the spectra give rotation and shift, targets
+        the rest), "nearest" (least distance, for nearly aligned images)
     passes : the secondary is aligned by what a pass found and looked at again, at most so often in all
     patch, patch_width : height and width of the patches, px; a width of 0 is that of the height
     subpixel : whether the correlation peak is interpolated

@@ -43,7 +43,10 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
          "product_files", "product_grid", "product_samples", "exports"},
         {"base", "types", "sar", "interfaces", "registry", "geometry", "geolocation", "input"},
     ),
-    "focusing": ({"focusing", "focused_inputs", "range_blocks"}, {"base", "types", "sar", "interfaces", "registry", "input"}),
+    "focusing": (
+        {"focusing", "focused_inputs", "range_blocks"},
+        {"base", "types", "sar", "interfaces", "registry", "input"},
+    ),
     "pipeline": (
         {"feature_matcher", "scale_search", "presets", "refine", "trust", "pipeline", "assembly", "matching",
          "extraction"},
@@ -58,7 +61,7 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
         {"evaluation", "comparison", "table", "prediction_cache", "pictures", "picture_panels",
          "picture_sheet", "warming", "experiments", "report", "marking"},
         {"base", "types", "sar", "interfaces", "registry", "geometry", "geolocation", "input", "simulate", "results",
-         "pipeline", "scene"},
+         "focusing", "pipeline", "scene"},
     ),
     "cli": (
         {"cli", "demo", "doctor", "__main__"},

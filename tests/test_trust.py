@@ -11,10 +11,10 @@ import pytest
 from numpy.typing import NDArray
 
 import featreg
-from featreg.geometry import Affine, Homography, Translation
+from featreg.geometry import Affine, Homography, Rigid, Translation
 from featreg.interfaces import FailedFit, Model
 from featreg.simulate import SimulatedPair, sar_pair
-from featreg.trust import Limits, assess, distinct, spread
+from featreg.trust import Limits, assess, distinct, distortion, spread
 from featreg.types import BoolArray, FloatArray, Gate, Matches
 
 Texture = Callable[..., NDArray[np.float32]]
@@ -57,6 +57,7 @@ def test_good_tie_points_pass_every_gate() -> None:
         ("stability", {"stability_px": 1e-6}),
         ("scale", {"scale": 1.0001}),
         ("anisotropy", {"anisotropy": 1.0}),
+        ("dilution", {"dilution": 1e-6}),
     ],
 )
 def test_each_gate_that_fails_alone_is_named(gate: str, limits: dict[str, Any]) -> None:
@@ -66,6 +67,25 @@ def test_each_gate_that_fails_alone_is_named(gate: str, limits: dict[str, Any]) 
     assert reason.startswith(gate)
     assert gates[gate].meaning in reason
     assert ";" not in reason
+
+
+def test_a_rigid_model_of_stretched_tie_points_is_distorted() -> None:
+    """By e along x: half of it is zoom, which a rigid model has not either."""
+    rng, e = np.random.default_rng(1), 0.004
+    here = rng.uniform(0, 1, (400, 2)) * (SHAPE[1], SHAPE[0])
+    for stretch, expected in ((e, e * SHAPE[1] / math.sqrt(12)), (0.0, 0.0)):
+        there = Rigid(5.0)(here) * [1 + stretch, 1.0] + rng.normal(0, 0.1, here.shape)
+        model = Rigid.from_estimate(here, there)
+        assert model
+        assert distortion(model, here, there, SHAPE) == pytest.approx(expected, abs=0.08)
+        status, reason, gates = judge(
+            Matches(here, there, np.ones(400)), np.ones(400, np.bool_), Limits(distortion_px=0.3), model=model
+        )
+        assert (status == "ok") == (stretch == 0)
+        assert reason.startswith("distortion") == (stretch != 0)
+        assert gates["distortion"].value is not None
+    # An affine model holds it.
+    assert "distortion" not in judge(*tie_points(), Limits(distortion_px=0.3))[2]
 
 
 def test_every_failing_gate_is_named() -> None:

@@ -97,7 +97,7 @@ def rigid_standard_errors(
     rejection). sigma is solved for.
     """
     centre = np.asarray(at, np.float64)
-    points = np.array([centre, centre + [FAR, 0.0]])
+    points = np.stack([centre, centre + np.array([FAR, 0.0])])
     covariance = regional_covariance(model, reference_xy, secondary_xy, places(reference_xy), weights, at=points)
     if isinstance(covariance, FailedFit):
         return covariance
@@ -131,8 +131,8 @@ def _variance_before_selection(shown: float, cut: float) -> float:
         u = cut * cut / (2 * variance)
         return variance * (1 - (1 + u) * math.exp(-u)) / -math.expm1(-u)
 
-    # What is left grows with the variance towards a quarter of the squared cut, that of errors that fill the circle, and
-    # tells nothing of it there.
+    # What is left grows with the variance towards a quarter of the squared cut, that of errors that fill the circle,
+    # and tells nothing of it there.
     low, high = shown, max(shown, (WIDEST * cut) ** 2)
     for _ in range(40):
         middle = (low + high) / 2
