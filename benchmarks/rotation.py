@@ -167,7 +167,7 @@ def plot(title: str, azimuth: Sequence[float], curves: Mapping[str, Sequence[Fou
         axes.plot(azimuth, shown, marker, markersize=4, label=text, linestyle="-", linewidth=0.6)
     axes.set(title=title, xlabel="azimuth of the reference, degrees", ylabel="estimated rotation, degrees")
     axes.set_ylim(low, high)
-    axes.legend(loc="lower left", fontsize="small")
+    axes.legend(loc="upper left", fontsize="small")
     figure.savefig(to, dpi=120)
     plt.close(figure)
 

@@ -3,9 +3,9 @@
     python benchmarks/tables.py table2|table3 [--paper] [--features 5000] [--seed 0] [--methods a,b] [--workers 1]
                                 [--time-limit 300] [--resume DIR] [--report FILE.html]
 
-Table 2 is one small pair, Table 3 ten pairs. The paper's images cannot be had: real co-registered dates from the folder
-that FEATREG_DATA names take their place, the second of each warped by a known affine, and simulated pairs where there
-are none. Every method has the same budget; without --paper also the same filters, GMS and FSC.
+Table 2 is one small pair, Table 3 at most ten. The paper's images cannot be had: real co-registered dates from the
+folder that FEATREG_DATA names take their place, the second of each warped by a known affine, and simulated pairs where
+there are none. Every method has the same budget; without --paper also the same filters, GMS and FSC.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def main() -> None:
     )
     study = experiment.run(workers=given.workers, resume=given.resume)
     table = study.table()
-    print(f"## {given.table.replace('table', 'Table ')}, {len(pairs)} pairs\n")
+    print(f"## {given.table.replace('table', 'Table ')}, {len(pairs)} pair{'s' * (len(pairs) > 1)}\n")
     print(table.to_markdown(layout=given.table))
     if given.report:
         from featreg.experiments.report_data import write_study_report

@@ -70,6 +70,10 @@ class BfSiftDescriptor(Descriptor):
         if not 0 <= self.harmonics <= HARMONICS:
             raise ParameterError(f"bf-sift needs 0 <= harmonics <= {HARMONICS}, got {self.harmonics}")
 
+    def reach_of(self, scale: float) -> float:
+        """The radius, and twice the standard deviation of the gradients' level at its rim."""
+        return scale + 2 * max(self.sigma, scale * self.coarser / self.support)
+
     def describe_features(self, image: Image, features: Features) -> Features:
         space = BilateralSpace(self.intervals, float(self.sigma), float(self.tone), self.exact)
         chain = pyramid(image, self.octaves, 2.0)

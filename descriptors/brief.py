@@ -62,6 +62,10 @@ class Brief(Descriptor):
         if not (self.factor > 1 and self.levels >= 1):
             raise ParameterError(f"brief needs factor > 1 and levels >= 1, got {self.factor} and {self.levels}")
 
+    def reach_of(self, scale: float) -> float:
+        """What must be free on the level of that scale."""
+        return (self.radius + REACH) * min(max(scale / self.radius, 1.0), self.factor ** (self.levels - 1))
+
     def describe_features(self, image: Image, features: Features) -> Features:
         from featreg.sar import binary_kernels
 

@@ -78,6 +78,10 @@ class GaborOdd(Descriptor):
         if not 0 <= self.harmonics <= HARMONICS:
             raise ParameterError(f"gabor-odd needs 0 <= harmonics <= {HARMONICS}, got {self.harmonics}")
 
+    def reach_of(self, scale: float) -> float:
+        """The radius, and twice the standard deviation of the coarsest filter at its rim."""
+        return scale + 2 * self.sigma * self.factor ** (self.scales - 1)
+
     def describe_features(self, image: Image, features: Features) -> Features:
         total = np.zeros((len(features), LENGTH), np.float32)
         for k in range(self.scales):

@@ -101,6 +101,10 @@ class MaxIndexMap(Descriptor):
         bank = LogGabor(self.scales, self.orientations, self.min_wavelength, self.multiplier, self.bandwidth)
         return bank, Congruency(self.noise, self.floor, self.view)
 
+    def reach_of(self, scale: float) -> float:
+        """Half the diagonal of the patch, which may be turned, and the coarsest filter at its corner."""
+        return self.patch / math.sqrt(2) + self._settings()[0].wavelength(self.scales - 1)
+
     def describe_features(self, image: Image, features: Features) -> Features:
         angle = features.angle
         # One direction for all: the votes themselves are turned, exactly, rather than the finished histograms.

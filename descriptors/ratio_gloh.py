@@ -74,6 +74,10 @@ class RatioGloh(Descriptor):
         if not 0 <= self.harmonics <= HARMONICS:
             raise ParameterError(f"ratio-gloh needs 0 <= harmonics <= {HARMONICS}, got {self.harmonics}")
 
+    def reach_of(self, scale: float) -> float:
+        """The radius, and twice the exponential weight of the gradients at its rim."""
+        return scale + 2 * max(self.finest, scale / self.support)
+
     def describe_features(self, image: Image, features: Features) -> Features:
         histograms = np.zeros((len(features), LENGTH), np.float32)
         steps = np.log(np.maximum(features.scale / self.support / self.finest, 1)) / math.log(self.factor)

@@ -73,6 +73,11 @@ class BfSift(Detector):
                 f"{self.sigma}, {self.tone}, {self.support} and {self.threshold}"
             )
 
+    @property
+    def reach(self) -> float:
+        """The radius of the coarsest scale of the last octave."""
+        return self.support * self._space().sigma_of(self.intervals) * 2.0 ** (self.octaves - 1)
+
     def detect_features(self, image: Image) -> Features:
         chain = pyramid(image, self.octaves, 2.0)
         found = [part for level in chain for part in self._octave(level)]

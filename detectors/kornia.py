@@ -20,10 +20,10 @@ import numpy as np
 
 from featreg.interfaces import Detector
 from featreg.kornia import COMMON, KorniaPart, Row, import_kornia
-from featreg.opencv import clearance, grey, inside
+from featreg.opencv import grey, on_data
 from featreg.registry import register_family
 from featreg.torch_arrays import from_lafs, import_torch, inference, to_numpy, to_tensor
-from featreg.types import BoolArray, Features, Image
+from featreg.types import Features, Image
 
 BUDGET = 5000
 MIN_SIDE = 16
@@ -82,7 +82,7 @@ class KorniaDetector(KorniaPart, Detector):
         with inference(values["threads"]):
             tensor = to_tensor(image, values["normalise"], values["device"])
             features = (_described if self.row.describes else self._framed)(network, tensor, values)
-            features = _best(features.take(_clear(features, image)), values["n_features"])
+            features = _best(features.take(on_data(features, image)), values["n_features"])
             if self.row.describes:
                 return features if values["describe"] else replace(features, descriptors=None)
             return _oriented(features, tensor, values)
@@ -115,16 +115,6 @@ def _with_budget(network: Any, count: int) -> Any:
     network = copy.copy(network)
     network.num_features = count
     return network
-
-
-def _clear(features: Features, image: Image) -> BoolArray:
-    """(N,) bool: the point lies in the image and its support on valid pixels."""
-    clear = inside(features.xy, image.shape)
-    if not image.all_valid:
-        column, row = np.clip(np.rint(features.xy).astype(np.int64), 0, np.array(image.shape[::-1]) - 1).T
-        distance = image.derive(clearance)[row, column]
-        clear &= (distance > 0) & (distance >= features.scale)
-    return clear
 
 
 def _best(features: Features, count: int) -> Features:

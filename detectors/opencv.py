@@ -24,12 +24,12 @@ from featreg.opencv import (
     clearance,
     from_keypoints,
     grey,
-    inside,
+    on_data,
     orb_to_true,
     unavailable,
 )
 from featreg.registry import register_family
-from featreg.types import BoolArray, Features, FloatArray, Image
+from featreg.types import Features, FloatArray, Image
 
 P = Parameter
 BUDGET = 5000
@@ -111,17 +111,7 @@ class OpenCVDetector(Detector):
         features = from_keypoints(*found)
         if algorithm.true_xy is not None and values["half_pixel"]:
             features = replace(features, xy=algorithm.true_xy(values, features, image.shape))
-        return _best(features.take(_clear(features, image)), self.parameters["n_features"])
-
-
-def _clear(features: Features, image: Image) -> BoolArray:
-    """(N,) bool: the point lies in the image and its support on valid pixels."""
-    clear = inside(features.xy, image.shape)
-    if not image.all_valid:
-        column, row = np.clip(np.rint(features.xy).astype(np.int64), 0, np.array(image.shape[::-1]) - 1).T
-        distance = image.derive(clearance)[row, column]
-        clear &= (distance > 0) & (distance >= features.scale)
-    return clear
+        return _best(features.take(on_data(features, image)), self.parameters["n_features"])
 
 
 def _best(features: Features, count: int) -> Features:

@@ -83,6 +83,11 @@ class PhaseCongruency(Detector):
         bank = LogGabor(self.scales, self.orientations, self.min_wavelength, self.multiplier, self.bandwidth)
         return bank, Congruency(self.noise, self.floor, self.view)
 
+    @property
+    def reach(self) -> float:
+        """The support, and the coarsest filter around it."""
+        return self.support + self._settings()[0].wavelength(self.scales - 1)
+
     def detect_features(self, image: Image) -> Features:
         largest, smallest, _, valid = congruency_maps(image, *self._settings())
         allowed = clear(without_rim(image), self.support)

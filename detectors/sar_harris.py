@@ -98,6 +98,11 @@ class SarHarris(Detector):
                 f"{self.d}, {self.threshold} and {self.floor}"
             )
 
+    @property
+    def reach(self) -> float:
+        """The radius of the coarsest scale."""
+        return self.support * self.alpha * self.factor ** (self.scales - 1)
+
     def detect_features(self, image: Image) -> Features:
         scratch = np.empty(3 * image.mask.size, np.float32)
         layers = [self._layer(image, self.alpha * self.factor**k, scratch) for k in range(self.scales)]

@@ -83,6 +83,11 @@ class SarOfast(Detector):
                 f"got '{self.edge}' and '{self.subpixel}'"
             )
 
+    @property
+    def reach(self) -> float:
+        """What must be free on the coarsest level."""
+        return (self.support + REACH) * self.factor ** (self.levels - 1)
+
     def detect_features(self, image: Image) -> Features:
         chain = pyramid(image, self.levels, self.factor)
         found = [self._corners(level) for level in chain]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -9,7 +10,7 @@ import typer
 from featreg.cli_options import check_name, check_output
 
 #: Held beside `featreg.exports.formats` by a test, so that help needs no import of it.
-NAMES = ("csv", "parquet", "gdal", "qgis", "envi", "colmap")
+NAMES = ("csv", "parquet", "gdal", "qgis", "envi", "colmap", "rpc")
 
 
 def export(
@@ -23,7 +24,7 @@ def export(
             "--output",
             "-o",
             metavar="FILE",
-            help="File to write: .csv, .parquet, .vrt, .tif or .txt (gdal), .points, .pts, .db (colmap).",
+            help="File to write: .csv, .parquet, .vrt .tif or .txt (gdal), .points, .pts, .db, _RPC.TXT or .RPB.",
             show_default=False,
         ),
     ],
@@ -45,7 +46,10 @@ def export(
     trusted; they are still written.
     """
     check_name(to, NAMES, "format")
-    check_output(output, "--output", inputs=[f for f in (result_file, reference, secondary) if f is not None])
+    from featreg.result_file import tie_point_file
+
+    inputs = [result_file, str(tie_point_file(Path(result_file))), reference, secondary]
+    check_output(output, "--output", inputs=[f for f in inputs if f is not None])
     from featreg.exports.formats import export as write
     from featreg.types import Registration
 

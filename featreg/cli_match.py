@@ -32,6 +32,7 @@ from featreg.cli_scene import (
     block_progress,
     check_block_options,
     cluster,
+    image_to_draw,
     kept_when_interrupted,
     may_be_blocks,
 )
@@ -173,14 +174,14 @@ def match(
             result.to_json(json_file)
             written.append(json_file)
         if plot is not None:
-            from featreg.io import as_image
             from featreg.pictures import draw_registration
 
-            images = (
-                as_image(reference, mask=mask_reference, nodata=nodata, scale=scale),
-                as_image(secondary, mask=mask_secondary, nodata=nodata, scale=scale),
-            )
-            draw_registration(*images, result, plot)
+            seen = [
+                image_to_draw(file, mask, nodata, scale)
+                for file, mask in ((reference, mask_reference), (secondary, mask_secondary))
+            ]
+            images, factors = zip(*seen, strict=True)
+            draw_registration(*images, result, plot, factors=factors)
             written.append(plot)
     typer.echo(summary(result, written))
     raise typer.Exit(0 if result.status == "ok" else 3)
@@ -205,6 +206,12 @@ def summary(result: Registration, written: list[str]) -> str:
         rmse = float(np.sqrt(np.mean(result.residuals()[result.inliers] ** 2)))
         lines.append(f"  residuals   RMSE {rmse:.2f} px over the final tie points")
     blocks = provenance.get("blocks")
+    accuracy = provenance.get("accuracy", {})
+    if "blocks_px" in accuracy:
+        held_out, local = result.gates["held_out_rmse"].value, accuracy["blocks_px"]
+        text = "" if held_out is None else f"RMSE {held_out:.2f} px over tie points held out of the fit, "
+        local = f"median {local['median']:.2f}, 95 % {local['percentile95']:.2f}, worst {local['worst']:.2f} px"
+        lines.append(f"  accuracy    {text}by block {local}")
     if blocks:
         counts = ", ".join(f"{blocks[name]} {name}" for name in ("computed", "reused", "skipped", "failed"))
         lines.append(f"  blocks      {blocks['total']} of about {blocks['size']} px: {counts}")

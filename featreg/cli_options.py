@@ -71,7 +71,8 @@ ModelOption: TypeAlias = Annotated[
     typer.Option(
         "--model",
         metavar="NAME",
-        help="Geometric model: translation, rigid, similarity, affine, homography, polynomial2 or polynomial3.",
+        help="Geometric model: translation, rigid, similarity, affine, homography, polynomial2, polynomial3, "
+        "residual-field or, for scenes with RPCs, rpc-bias.",
         show_default="affine",
     ),
 ]

@@ -8,15 +8,20 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 
 from featreg.cli_options import check_folder, number, whole_number
 from featreg.errors import InputError, ParameterError
 
+if TYPE_CHECKING:
+    from featreg.types import Image
+
 #: A file this large may hold more pixels than are matched at once.
 LARGE_BYTES = 4_000_000
+#: Least longer side of the overview of a large image in a picture, px; a panel has 900.
+DRAWN = 1000
 #: Seconds to wait for a dask scheduler.
 PATIENCE = 10
 
@@ -121,6 +126,19 @@ def cluster(address: str | None) -> Iterator[Any]:
         if not client.nthreads():
             raise InputError(f"--scheduler '{address}': has no workers yet; start some with 'dask worker {address}'")
         yield client
+
+
+def image_to_draw(file: str, mask: str | None, nodata: complex | None, scale: str | None) -> tuple[Image, int]:
+    """An image for a picture, and how many pixels of the file are one of its along each side: large ones are reduced."""
+    from featreg.io import as_image
+    from featreg.matching import MOST_PIXELS
+    from featreg.raster_source import open_source, pixel_count
+
+    if pixel_count(file) <= MOST_PIXELS:
+        return as_image(file, mask=mask, nodata=nodata, scale=scale), 1
+    source = open_source(file, mask=mask, nodata=nodata, scale=scale)
+    factor = max(1, min(max(source.shape) // DRAWN, min(source.shape)))
+    return source.overview(factor), factor
 
 
 @contextmanager

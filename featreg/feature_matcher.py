@@ -44,6 +44,12 @@ class FeatureMatcher(Matcher):
     n_features: int = 5000
     common_rotation: bool = True
 
+    @property
+    def reach(self) -> float:
+        """That of the detector, or of the descriptor at the detector's largest keypoints."""
+        found = self.detector.reach
+        return found if self.descriptor is None else max(found, self.descriptor.reach_of(found))
+
     def match(self, reference: Image, secondary: Image) -> Matches:
         with stage("detect"):
             found = [self.detector.detect_features(image).best(self.n_features) for image in (reference, secondary)]

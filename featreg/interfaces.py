@@ -16,6 +16,9 @@ from numpy.typing import NDArray
 
 from featreg.types import BoolArray, Features, FloatArray, Image, IntArray, Matches
 
+#: Reach of a plugin that states none, px: as much as the methods here that look around themselves most widely.
+REACH = 96.0
+
 
 class Detector(ABC):
     """Finds keypoints in one image."""
@@ -27,6 +30,14 @@ class Detector(ABC):
         A detector that has a parameter `n_features` is given the pipeline's budget through it. Descriptors may be
         returned at once; the descriptor stage is then skipped.
         """
+
+    @property
+    def reach(self) -> float:
+        """How far from a keypoint pixels may lie that decide on it, px; no keypoint's `scale` is larger.
+
+        Blocks of a scene are read so much larger than they are, or as the descriptor's or the matcher's reach asks.
+        """
+        return REACH
 
     def detect(self, array: NDArray[Any], mask: NDArray[Any] | None = None) -> list[Any]:
         """As OpenCV's `Feature2D.detect`: an array and an optional mask (non-zero = valid) in, `cv2.KeyPoint` out."""
@@ -41,6 +52,10 @@ class Descriptor(ABC):
     @abstractmethod
     def describe_features(self, image: Image, features: Features) -> Features:
         """Return the features with `descriptors`; where rows were dropped or doubled, `index` names the rows given."""
+
+    def reach_of(self, scale: float) -> float:
+        """How far from a keypoint of this scale pixels may lie that decide on its description, px."""
+        return max(REACH, 1.5 * scale)
 
     def compute(self, array: NDArray[Any], keypoints: Any) -> tuple[list[Any], NDArray[Any] | None]:
         """As OpenCV's `Feature2D.compute`: an array and `cv2.KeyPoint`s in, the kept ones and descriptors out."""
@@ -64,6 +79,11 @@ class Matcher(ABC):
     @abstractmethod
     def match(self, reference: Image, secondary: Image) -> Matches:
         """Return putative tie points; empty where there are none."""
+
+    @property
+    def reach(self) -> float:
+        """How far from a tie point pixels may lie that decide on it, px; blocks of a scene are read so much larger."""
+        return REACH
 
 
 @dataclass(frozen=True, eq=False)

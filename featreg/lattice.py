@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, NoReturn
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import InputError
+from featreg.geolocation.rpc_bias import InverseRpcBias
+from featreg.geolocation.transfer import Transfer
+from featreg.geometry.base import DerivedModel
+from featreg.geometry.corrected import CorrectedModel
 from featreg.interfaces import Model
 from featreg.types import FloatArray
 
@@ -19,6 +23,9 @@ Mapping = Callable[[FloatArray], FloatArray]
 STEPS = (32, 8)
 #: Farthest, in px, that a position interpolated between nodes may lie from the model's own.
 TOLERANCE = 1e-4
+#: The same for models that rest on the height of the ground: closely spaced, since relief may lie between the nodes,
+#: and to what an elevation model is worth.
+GROUND_STEPS, GROUND_TOLERANCE = (4,), 1e-2
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,8 +83,9 @@ def lattice_of(model: Mapping, left: int, top: int, shape: tuple[int, int]) -> L
     Notes
     -----
     A `Model` is smooth, so it is evaluated at nodes only where that changes no position by more than 1e-4 px (looked
-    at in the middle of each cell, where linear interpolation is farthest off); anything else, and a model that is not
-    finite everywhere, at every pixel.
+    at in the middle of each cell, where linear interpolation is farthest off); one that looks up the height of the
+    ground (`RpcBias`, `Transfer`) where it changes none by more than 0.01 px, at every fourth pixel. Anything
+    else, and a model that is not finite everywhere, is evaluated at every pixel.
 
     Raises
     ------
@@ -86,7 +94,8 @@ def lattice_of(model: Mapping, left: int, top: int, shape: tuple[int, int]) -> L
     """
     height, width = shape
     if isinstance(model, Model):
-        for step in STEPS:
+        steps, tolerance = (GROUND_STEPS, GROUND_TOLERANCE) if _on_ground(model) else (STEPS, TOLERANCE)
+        for step in steps:
             if step * 2 > min(height, width):
                 continue
             rows, cols = (np.arange((n - 1) // step + 2) * float(step) for n in shape)
@@ -95,10 +104,16 @@ def lattice_of(model: Mapping, left: int, top: int, shape: tuple[int, int]) -> L
                 break
             middle = _mapped(model, rows[:-1] + top + step / 2, cols[:-1] + left + step / 2)
             if all(
-                np.abs(_centres(nodes) - true).max() <= TOLERANCE for nodes, true in zip((x, y), middle, strict=True)
+                np.abs(_centres(nodes) - true).max() <= tolerance for nodes, true in zip((x, y), middle, strict=True)
             ):
                 return Lattice(x, y, step, shape)
     return Lattice(*_mapped(model, np.arange(height) + float(top), np.arange(width) + float(left)), 1, shape)
+
+
+def _on_ground(model: Model) -> bool:
+    if isinstance(model, OtherGrids):
+        return _on_ground(model.model)
+    return isinstance(model, CorrectedModel | Transfer | InverseRpcBias)
 
 
 def _centres(nodes: FloatArray) -> FloatArray:
@@ -117,7 +132,7 @@ def _mapped(model: Mapping, rows: NDArray[Any], cols: NDArray[Any]) -> tuple[Flo
 
 
 @dataclass(frozen=True, eq=False)
-class OtherGrids(Model):
+class OtherGrids(DerivedModel):
     """A model between versions of its two images on other pixel grids.
 
     Parameters
@@ -130,20 +145,7 @@ class OtherGrids(Model):
     model: Model
     before: FloatArray
     after: FloatArray
-    minimum = 0
-
-    @classmethod
-    def from_estimate(
-        cls, reference_xy: FloatArray, secondary_xy: FloatArray, weights: FloatArray | None = None
-    ) -> NoReturn:
-        """Refuse: fit the model it is made of.
-
-        Raises
-        ------
-        InputError
-            Always.
-        """
-        raise InputError("a model of other grids is not fitted: fit the model it is made of")
+    instead: ClassVar[str] = "fit the model it is made of"
 
     def __call__(self, xy: FloatArray) -> FloatArray:
         return _through(self.after, self.model(_through(self.before, np.asarray(xy, np.float64))))

@@ -64,7 +64,8 @@ def match(
     ----------
     reference, secondary : paths, 2-D arrays (real or complex) or `Image`
     method : a preset's name (`featreg.available("method")`), a `Pipeline` or a `Matcher`
-    model : "translation", "rigid", "similarity", "affine" (default), "homography", "polynomial2", "polynomial3"
+    model : "translation", "rigid", "similarity", "affine" (default), "homography", "polynomial2", "polynomial3",
+        "residual-field"; "rpc-bias" in blocks
     seed : of everything random; the same seed gives the same result
     refine : guided sub-pixel tie points after the first model; None leaves it to the method
     n_features : at most so many features per image and so many final tie points (default 5000)
@@ -105,7 +106,10 @@ def match(
     size = _block_size(block, work, model, reference, secondary)
     if size is not None:
         if focus is not None:
-            raise ParameterError("focus works on whole images: focus large files first, with featreg.focus")
+            raise ParameterError(
+                "focus works on whole images, not on blocks: focus the files first (featreg focus IN -o OUT), or ask for "
+                "the whole images at once (block=False, --whole)"
+            )
         from featreg.scene.run import SceneOptions, assemble_scene, match_scene
 
         sources = (

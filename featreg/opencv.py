@@ -200,6 +200,16 @@ def inside(xy: FloatArray, shape: tuple[int, int]) -> BoolArray:
     return np.asarray(np.all((xy >= 0) & (xy <= np.array(shape[::-1]) - 1), axis=1))
 
 
+def on_data(features: Features, image: Image) -> BoolArray:
+    """Return (N,) bool: which of the features lie in the image, with their support on valid pixels."""
+    clear = inside(features.xy, image.shape)
+    if not image.all_valid:
+        column, row = np.clip(np.rint(features.xy).astype(np.int64), 0, np.array(image.shape[::-1]) - 1).T
+        distance = image.derive(clearance)[row, column]
+        clear &= (distance > 0) & (distance >= features.scale)
+    return clear
+
+
 def orb_to_true(xy: FloatArray, level: NDArray[Any], scale_factor: float, shape: tuple[int, int]) -> FloatArray:
     """Return the positions in the image of the points that ORB reports at `xy` (N, 2) on pyramid levels (N,).
 

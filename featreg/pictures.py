@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from featreg.geometry import decompose, local_linear
-from featreg.interfaces import FailedFit
+from featreg.interfaces import FailedFit, Model
 from featreg.picture_panels import Gray, checkerboard, display, overlay, views_to_draw_on
 from featreg.picture_sheet import FAINT, INK, Colour, Lines, Note, Sheet, checked_target
 from featreg.truth import Truth, TruthLike, read_truth
@@ -98,29 +99,52 @@ def draw_overlay(reference: Image, aligned: Image | ArrayLike, path: str | Path)
 
 
 def draw_registration(
-    reference: Image, secondary: Image, registration: Registration, path: str | Path, truth: TruthLike | None = None
+    reference: Image,
+    secondary: Image,
+    registration: Registration,
+    path: str | Path,
+    truth: TruthLike | None = None,
+    *,
+    factors: tuple[int, int] = (1, 1),
 ) -> None:
     """Write one PNG that shows a registration: tie points above, checkerboard and overlay below, the figures on top.
 
     An unreliable registration says so, with its reason; where it has no model, the lower panels are left out.
-    Parameters and errors are those of `draw_matches`.
+    Of large images, overviews will do: `factors` says how many pixels of the reference and of the secondary, along each
+    side, are one pixel of theirs. The other parameters, and the errors, are those of `draw_matches`.
     """
     checked_target(path)
     known = _known(truth)
     groups = _groups(registration, known, 1.5)
     views = views_to_draw_on(reference, secondary)
+    (height, width), (far_height, far_width) = reference.shape, secondary.shape
+    shape = height * factors[0], width * factors[0]
+    far_shape = far_height * factors[1], far_width * factors[1]
     rows: list[list[Gray]] = [views]
     labels = ["reference", "secondary"]
     if registration.model:
         from featreg.resample import resample
 
-        aligned = resample(secondary, registration.model, reference.shape, resampling="bilinear")
+        reduced = _reduced(registration.model, factors)
+        aligned = resample(secondary, reduced, reference.shape, resampling="bilinear")
         rows.append([checkerboard(reference, aligned), overlay(reference, aligned)])
         labels += [CHECKERBOARD, OVERLAY]
-    figures = _figures(registration, reference.shape, known)
+    figures = _figures(registration, shape, known)
     header = [[*_status(registration), *figures], _counts(registration, groups)]
-    lines = _lines(registration, groups, views, (reference.shape, secondary.shape), 250)
+    lines = _lines(registration, groups, views, (shape, far_shape), 250)
     Sheet(rows, labels, header, lines).write(path)
+
+
+def _reduced(model: Model, factors: tuple[int, int]) -> Callable[[FloatArray], FloatArray]:
+    """The model between the pixels of two overviews; the first of factor f lies at (f - 1) / 2."""
+    if factors == (1, 1):
+        return model
+    here, there = factors
+
+    def mapped(xy: FloatArray) -> FloatArray:
+        return (model(here * xy + (here - 1) / 2) - (there - 1) / 2) / there
+
+    return mapped
 
 
 def spread_out(xy: FloatArray, score: FloatArray, count: int) -> NDArray[np.int64]:
@@ -157,6 +181,10 @@ def _groups(registration: Registration, truth: Truth | None, threshold: float) -
         rejected = ~accepted
         # the match that an accepted point was refined from lives on in it
         rejected[matches.origin[accepted & (matches.origin >= 0)]] = False
+        if "refine" in registration.stages and not (matches.origin[accepted] >= 0).any():
+            # refined points of their own, as those of blocks: what the filters kept was not rejected
+            kept = [mask for name, mask in registration.stages.items() if name != "refine"]
+            rejected &= ~kept[-1] if kept else False
         return [_Group("rejected", BAD, BAD_INK, rejected), _Group("accepted", GOOD, GOOD_INK, accepted)]
     kept = list(registration.stages.values())[-1] if registration.stages else np.ones(len(matches), bool)
     error = np.hypot(*(truth(matches.reference_xy) - matches.secondary_xy).T)

@@ -147,6 +147,11 @@ _PAPER_TARGETS = {"association": "nearest", "passes": 1, "patch": 64, "subpixel"
 _PAPER_GRID = {"tie_points": "cc", "patch": 64, "step": 32, "subpixel": False, "zeros_are_data": True}
 
 
+# The best of many alignments, and outlines that both images share, make chance look like less than it is: of 320 pairs
+# of an optical and a SAR image of different places none passed -76; of 40 true pairs 39 reach -147 and 0.43 px.
+_SEARCHED_TRUST = {"least_inliers": 40, "significance": -100.0, "uncertainty_px": 0.55}
+
+
 def _kornia(summary: str, detector: Part, descriptor: Part | None, nearest: Part) -> Preset:
     """Parts of kornia; its ways of matching have tests of their own, which stand for GMS."""
     return Preset(
@@ -244,6 +249,7 @@ PRESETS: Mapping[str, Preset] = {
         filters=(Part("fsc"),),
         refine=False,
         model="similarity",
+        trust=_SEARCHED_TRUST,
     ),
     "rift-paper": Preset(
         "RIFT as in Li, Hu and Ai 2020, made rotation invariant as in RIFT2",

@@ -13,7 +13,7 @@ from featreg.errors import InputError, ParameterError
 from featreg.interfaces import Model
 from featreg.lattice import OtherGrids, resized
 from featreg.raster_source import RasterSource
-from featreg.resample import model_of
+from featreg.resample import model_of, stated_shape
 from featreg.types import FloatArray, Geolocation, Registration
 
 #: Pixel sizes that are taken as meant where the sizes of two images allow them: whole multiples and parts.
@@ -47,6 +47,17 @@ def recorded(registration: Registration, role: str) -> dict[str, Any]:
     return dict(inputs.get(role) or {})
 
 
+def inputs_of(registration: Registration) -> list[str]:
+    """Return the files that a registration rests on and that no output may replace: images, an elevation model."""
+    from featreg.geolocation import DemHeights, RpcBias
+
+    paths = [recorded(registration, role).get("path") for role in ("reference", "secondary")]
+    model = registration.model
+    if isinstance(model, RpcBias) and isinstance(model.heights, DemHeights):
+        paths.append(model.heights.path)
+    return [path for path in paths if isinstance(path, str)]
+
+
 def size_of(known: dict[str, Any]) -> tuple[int, int] | None:
     """Return (H, W) of a recorded image."""
     height, width = known.get("height"), known.get("width")
@@ -64,7 +75,7 @@ def reference_grid(registration: Registration, like: str | Path | tuple[int, int
     known = recorded(registration, "reference")
     size = size_of(known)
     if isinstance(like, tuple):
-        return Grid((int(like[0]), int(like[1])), None, None, IDENTITY)
+        return Grid(stated_shape(like), None, None, IDENTITY)
     if like is not None:
         source = RasterSource(str(like), band=1)
         same = IDENTITY if size is None else _same_footprint(str(like), source.shape, "reference", size)

@@ -25,7 +25,7 @@ class Encoding:
     ----------
     dtype : of the product: uint8, int16, uint16, int32 and uint32 are kept, complex samples are complex64, all other
         float32
-    nodata : value of pixels that are not data: the file's own where the dtype has it; else NaN for float32, 0 for
+    nodata : value of pixels that are not data: the file's own where this dtype has it; else NaN for float32, 0 for
         unsigned and the lowest value for signed integers. Complex pixels are nan+nanj, and none is declared.
     scale : what the file's samples are: "amplitude", "intensity", "db" or "complex"
     gain, offset : value = gain * sample + offset in the file; the product has the same
@@ -72,7 +72,10 @@ def encoding_of(source: RasterSource) -> Encoding:
     given = source.nodata if source.nodata is not None else own
     nodata = float(given.real) if given is not None else math.nan
     dtype = source.dtype if source.dtype in INTEGERS else "float32"
-    if dtype != "float32":
+    if dtype == "float32":
+        # One of float64 may lie beyond.
+        nodata = nodata if abs(nodata) <= float(np.finfo(np.float32).max) or math.isinf(nodata) else math.nan
+    else:
         limits = np.iinfo(dtype)
         if not (nodata.is_integer() and limits.min <= nodata <= limits.max):
             nodata = 0.0 if limits.min == 0 else float(limits.min)

@@ -19,7 +19,7 @@ from featreg.errors import InputError, ParameterError, suggest
 from featreg.interfaces import Model
 from featreg.lattice import Lattice, lattice_of
 from featreg.product_files import Runner, bounded_cache, cloud_optimised, rasterio_window, tiled_tiff
-from featreg.product_grid import Grid, grid_model, recorded, reference_grid
+from featreg.product_grid import Grid, grid_model, inputs_of, recorded, reference_grid
 from featreg.product_samples import Encoding, encoding_of
 from featreg.raster_source import RasterSource, Window
 from featreg.readers import gdal_dataset, quiet
@@ -125,7 +125,7 @@ def warp_file(
         raise ParameterError(f"unknown resampling '{resampling}', {suggest(resampling, TAPS)}")
     secondary, output = str(secondary), Path(output)
     grid = reference_grid(registration, like)
-    inputs = [secondary, grid.path, like if not isinstance(like, tuple) else None]
+    inputs = [secondary, grid.path, like if not isinstance(like, tuple) else None, *inputs_of(registration)]
     window_size(coherence_window)
     if coherence is not None and Path(coherence).absolute() == output.absolute():
         raise InputError(f"{coherence}: is also the output, the coherence needs a file of its own")
@@ -135,9 +135,13 @@ def warp_file(
     scale = _recorded_scale(registration, secondary) if scale is None else scale
     sources = _sources(secondary, band, scale, nodata)
     wanted = (secondary_scale,) * 2 if isinstance(secondary_scale, int | float) else secondary_scale
+    if wanted is not None and len(wanted) != 2:
+        raise ParameterError(f"secondary_scale must be one number or two (along x, along y), got {secondary_scale}")
     model = grid_model(registration, grid, sources[0], wanted)
     if (deramp or coherence is not None) and not sources[0].is_complex:
         raise ParameterError(f"{secondary}: holds {sources[0].dtype} samples, deramp and coherence need complex ones")
+    if coherence is not None and len(sources) > 1:
+        raise ParameterError(f"{secondary}: has {len(sources)} bands, the coherence is that of one; give its number")
     partner = None if coherence is None else _partner(grid)
     ramp = _ramp(sources[0]) if deramp else None
     encodings = [encoding_of(source) for source in sources]
@@ -255,8 +259,9 @@ def _sources(secondary: str, band: int | None, scale: str | None, nodata: float 
 
 def _recorded_scale(registration: Registration, secondary: str) -> str | None:
     known = recorded(registration, "secondary")
-    same = known.get("path") == secondary and known.get("scale") in ("amplitude", "intensity", "db")
-    return str(known["scale"]) if same else None
+    path, scale = str(known.get("path")), known.get("scale")
+    same = path == secondary or (Path(path).exists() and Path(secondary).exists() and Path(path).samefile(secondary))
+    return str(scale) if same and scale in ("amplitude", "intensity", "db") else None
 
 
 def _partner(grid: Grid) -> RasterSource:

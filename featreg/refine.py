@@ -82,6 +82,11 @@ class Refine:
                 f"{self.max_residual} and {self.least_share}"
             )
 
+    @property
+    def reach(self) -> int:
+        """How far from a tie point pixels are looked at, px."""
+        return self.half + MARGIN + self.search
+
     def least(self, candidates: int) -> int:
         """Fewest refined tie points, of so many looked at, for a refinement that is worth using."""
         return max(30, round(self.least_share * candidates))

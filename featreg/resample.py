@@ -50,11 +50,12 @@ def resample(
 
     Notes
     -----
-    Positions are those of the model to 1e-4 px, weights are exact to 4e-7, sums are made in float32. Lanczos is within
-    0.4 % up to a fifth of the Nyquist frequency and within 3 % up to 0.7 of it, cubic within 0.5 % and 37 %: lanczos
-    suits speckle and complex samples, cubic suits smooth maps. Amplitude is cut at 0, since cubic and lanczos swing
-    below it beside bright points. A model that shrinks the image is not low-passed; complex samples with a Doppler
-    centroid or a phase ramp far from 0 need it removed before (`featreg.warp_file` does with ``deramp=True``).
+    Positions are those of the model to 1e-4 px (0.01 px where it rests on an elevation model), weights are exact to
+    4e-7, sums are made in float32. Lanczos is within 0.4 % up to a fifth of the Nyquist frequency and within 3 % up to
+    0.7 of it, cubic within 0.5 % and 37 %: lanczos suits speckle and complex samples, cubic suits smooth maps.
+    Amplitude is cut at 0, since cubic and lanczos swing below it beside bright points. A model that shrinks the image
+    is not low-passed; complex samples with a Doppler centroid or a phase ramp far from 0 need it removed before
+    (`featreg.warp_file` does with ``deramp=True``).
 
     References
     ----------
@@ -188,11 +189,16 @@ def model_of(registration: Registration) -> Model:
     return model
 
 
+def stated_shape(like: tuple[int, ...]) -> tuple[int, int]:
+    """Return (H, W) as a caller stated it; an `InputError` where it is none."""
+    if len(like) != 2 or not all(isinstance(n, int | np.integer) and n > 0 for n in like):
+        raise InputError(f"like must be the reference image or its (H, W), got {like}")
+    return int(like[0]), int(like[1])
+
+
 def _reference_shape(registration: Registration, like: ImageLike | tuple[int, int] | None) -> tuple[int, int]:
     if isinstance(like, tuple):
-        if len(like) != 2 or not all(isinstance(n, int | np.integer) and n > 0 for n in like):
-            raise InputError(f"like must be the reference image or its (H, W), got {like}")
-        return int(like[0]), int(like[1])
+        return stated_shape(like)
     if isinstance(like, Image):
         return like.shape
     if isinstance(like, str | Path):

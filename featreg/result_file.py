@@ -85,7 +85,7 @@ def write_registration(registration: Registration, path: str | Path) -> None:
     stage = _stage(registration)
     columns, masks, head = _columns(registration, stage), _masks(registration, stage), _head(registration)
     if len(stage) > MAX_ROWS:
-        beside = path.with_name(f"{path.stem}.tie_points.parquet")
+        beside = tie_point_file(path)
         content = parquet_of(columns)
         write_atomic(beside, content)
         table = {"file": beside.name, "columns": list(columns), "sha256": hashlib.sha256(content).hexdigest()}
@@ -98,6 +98,11 @@ def write_registration(registration: Registration, path: str | Path) -> None:
             f'"{slot}"', rows.replace("[[", "[\n      [", 1)
         )
     write_atomic(path, (text + "\n").encode())
+
+
+def tie_point_file(path: Path) -> Path:
+    """Return the file beside a result in which its tie points stand where they are many."""
+    return path.with_name(f"{path.stem}.tie_points.parquet")
 
 
 def read_registration(path: str | Path) -> Registration:

@@ -77,10 +77,12 @@ def _geolocation(sicd: Any, tree: Any, shape: tuple[int, int]) -> Geolocation | 
     """Control points from the SICD's own projection of a grid of pixels to the height of the scene centre point."""
     helper = sicd.XmlHelper(tree)
     height = float(helper.load("{*}GeoData/{*}SCP/{*}LLH")[2])
+    # A SICD may be a part of a larger image, in which its projection counts.
+    first = [int(helper.load(f"{{*}}ImageData/{{*}}{name}")) for name in ("FirstRow", "FirstCol")]
     rows, cols = (np.linspace(0, n - 1, GRID) for n in shape)
     row, col = (grid.ravel() for grid in np.meshgrid(rows, cols, indexing="ij"))
     try:
-        metres = sicd.rowcol_to_xrowycol(tree, np.column_stack([row, col]))
+        metres = sicd.rowcol_to_xrowycol(tree, np.column_stack([row, col]) + first)
         ecef, _, converged = sicd.image_to_constant_hae_surface(tree, metres, height)
     except (ValueError, TypeError, AttributeError, LookupError):
         return None

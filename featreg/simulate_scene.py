@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
-import uuid
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,11 +17,13 @@ from featreg.geolocation.heights import Heights
 from featreg.geolocation.rpc import RpcSensor
 from featreg.geolocation.sensor import METRES_PER_DEGREE, Sensor
 from featreg.geolocation.transfer import Transfer, on_ground
+from featreg.readers import quiet
 from featreg.sar.speckle_field import RADIUS, checked_looks, point_field, speckled_intensity
 from featreg.simulate import NOISE
 from featreg.simulate_ground import SIDE, Ground
 from featreg.simulate_orbit import RangeDoppler, Terrain, plane_metres
 from featreg.types import FloatArray
+from featreg.writers import replacing
 
 #: Rows and columns of an image made at a time: the size of a tile of the file.
 TILE = 512
@@ -324,18 +324,10 @@ def _write_dem(path: Path, terrain: Terrain, sensors: list[RpcSensor], shape: tu
 def _write_tiff(path: Path, profile: Mapping[str, Any], fill: Callable[[Any], None]) -> None:
     import rasterio
 
-    from featreg.readers import quiet, reason
-
     layout = {"driver": "GTiff", "count": 1, "tiled": True, "blockxsize": TILE, "blockysize": TILE}
-    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
-    try:
-        with quiet(), rasterio.open(temporary.absolute(), "w", **layout, **profile, bigtiff="if_safer") as dataset:
-            fill(dataset)
-        os.replace(temporary, path)
-    except (OSError, rasterio.errors.RasterioError) as error:
-        raise InputError(f"{path}: cannot be written ({reason(error)}); give a folder that can be written") from error
-    finally:
-        temporary.unlink(missing_ok=True)
+    layout |= {**profile, "bigtiff": "if_safer"}
+    with replacing(path) as temporary, quiet(), rasterio.open(temporary.absolute(), "w", **layout) as dataset:
+        fill(dataset)
 
 
 def _moved(view: RangeDoppler, bias: tuple[float, float]) -> RangeDoppler:
@@ -361,12 +353,8 @@ def _write_truth(path: Path, truth: Transfer, shape: tuple[int, int], bias: tupl
             "rows": np.column_stack([here, there]).tolist(),
         },
     }
-    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
-    try:
+    with replacing(path) as temporary:
         temporary.write_text(json.dumps(values), encoding="utf-8")
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _view_of(values: Mapping[str, Any]) -> RangeDoppler:

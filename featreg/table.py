@@ -22,6 +22,12 @@ from featreg.result_file import plain, write_atomic
 COLUMNS = ("pair", "method", "status", *STANDARD, "reason")
 #: Columns that are no metric.
 HEAD, TAIL = ("pair", "method", "seed"), ("status", "reason")
+#: What LaTeX reads as a command, or prints as another sign in its usual font encoding.
+LATEX = str.maketrans(
+    {sign: f"\\{sign}" for sign in "{}&%$#_"}
+    | {"\\": r"\textbackslash{}", "^": r"\^{}", "~": r"\~{}", "<": r"\textless{}", ">": r"\textgreater{}",
+       "|": r"\textbar{}", "°": r"\textdegree{}"}
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,16 +184,18 @@ class Table:
     def to_latex(self, path: str | Path | None = None, *, layout: str | None = None) -> str:
         """Return (and write) a LaTeX tabular, the best value of each pair in bold, the protocol underneath."""
         columns, parts = self._shown(layout)
-        sides = "".join("r" if name in self.metrics else "l" for name in columns)
+        sides = "".join("r" if name in (*self.metrics, "act") else "l" for name in columns)
         lines = [rf"\begin{{tabular}}{{{sides}}}", r"\hline"]
         lines += [" & ".join(_escape(title) for title in columns.values()) + r" \\", r"\hline"]
-        for part in parts:
+        judged = self._judged()
+        ranked: tuple[Sequence[Mapping[str, Any]], ...] = (parts[0], judged)
+        for part, fair in zip(parts, ranked, strict=False):
             pair = ""
-            for row in part:
+            for row, own in zip(part, fair, strict=True):
                 pair = row["pair"] or pair
-                rivals = [other for other in [*self.rows, *self.summary()] if other["pair"] == pair]
+                rivals = [other for other in [*self.rows, *judged] if other["pair"] == pair]
                 cells = (_escape(_text(row, name)) for name in columns)
-                best = (best_of(row, name, rivals) for name in columns)
+                best = (best_of(own, name, rivals) for name in columns)
                 lines.append(
                     " & ".join(rf"\textbf{{{c}}}" if b else c for c, b in zip(cells, best, strict=True)) + r" \\"
                 )
@@ -246,6 +254,17 @@ class Table:
             raise ParameterError(f"unknown layout '{layout}', {suggest(layout, LAYOUTS)}")
         return columns_of(layout, self.columns, self.rows)
 
+    def _judged(self) -> list[dict[str, Any]]:
+        """The summary without what flatters a method: times and errors that leave out the rows it gave up."""
+        found = self.summary()
+        for row in found:
+            rows = [r for r in self.rows if r["method"] == row["method"]]
+            for name in self.metrics:
+                counted = (row["pair"], name) == ("median", "grid_rmse")
+                if metric_of(name).better == "lower" and not counted and any(r[name] is None for r in rows):
+                    row[name] = None
+        return found
+
     def _interval_lines(self) -> list[str]:
         """The means with their intervals, as a table of their own, where there is anything to say."""
         found = self.intervals()
@@ -277,8 +296,6 @@ class Table:
             groups.setdefault(pair, []).append(value)
         low, high = metric_of(metric).bounds
         bounds = (low - high, high - low) if difference else (low, high)
-        if math.isnan(bounds[0]) or math.isnan(bounds[1]):
-            bounds = (-math.inf, math.inf)
         found = interval(list(groups.values()), self.confidence, bounds=bounds)
         return replace(found, missing=len({row["pair"] for row in self.rows}) - len(groups))
 
@@ -315,11 +332,7 @@ def _text(row: Mapping[str, Any], name: str) -> str:
 
 
 def _escape(text: str) -> str:
-    for plain_text, latex in (("\\", r"\textbackslash "), ("{", r"\{"), ("}", r"\}")):
-        text = text.replace(plain_text, latex)
-    for sign in "&%$#_":
-        text = text.replace(sign, f"\\{sign}")
-    return text.replace("^", r"\^{}").replace("~", r"\~{}")
+    return text.translate(LATEX)
 
 
 def _emit(text: str, path: str | Path | None) -> str:

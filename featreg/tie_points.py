@@ -25,7 +25,9 @@ COLUMNS = ("reference_x", "reference_y", "secondary_x", "secondary_y")
 QGIS_COLUMNS = (("mapX", "mapY", "sourceX", "sourceY"), ("mapX", "mapY", "pixelX", "pixelY"))
 
 
-def read_tie_points(path: str | Path, *, reference: str | Path | None = None) -> Matches:
+def read_tie_points(
+    path: str | Path, *, reference: str | Path | None = None, secondary: str | Path | None = None
+) -> Matches:
     """Read marked or exported tie points.
 
     Parameters
@@ -34,7 +36,8 @@ def read_tie_points(path: str | Path, *, reference: str | Path | None = None) ->
         the reference, warp the secondary), ``.csv`` or ``.txt`` (columns reference_x, reference_y, secondary_x,
         secondary_y and, where there are, score, cov_xx, cov_xy, cov_yy; or four bare columns in that order),
         ``.parquet`` (the same columns), ``.npy`` (M, 4)
-    reference : for ``.points`` in map coordinates, the reference image, whose geotransform takes them to its pixels
+    reference, secondary : for ``.points`` in map coordinates, the images whose geotransforms take them to pixels: QGIS
+        counts the pixels of an image that has none, and writes map coordinates of one that has
 
     Returns
     -------
@@ -44,12 +47,12 @@ def read_tie_points(path: str | Path, *, reference: str | Path | None = None) ->
     Raises
     ------
     InputError
-        The file cannot be read, is of another kind, holds something that is no number, or map coordinates without a
-        reference that has a geotransform in the same coordinate system.
+        The file cannot be read, is of another kind, holds something that is no number, or map coordinates without an
+        image that has a geotransform (the reference: in the same coordinate system).
     """
     path = Path(path)
     readers: dict[str, Callable[[], Matches]] = {
-        ".points": lambda: _qgis(path, reference),
+        ".points": lambda: _qgis(path, reference, secondary),
         ".pts": lambda: _envi(path),
         ".csv": lambda: _text(path),
         ".txt": lambda: _text(path),
@@ -142,7 +145,7 @@ def _envi(path: Path) -> Matches:
     return _bare(values[:, :4] - PIXEL_OFFSETS["envi"])
 
 
-def _qgis(path: Path, reference: str | Path | None) -> Matches:
+def _qgis(path: Path, reference: str | Path | None, secondary: str | Path | None) -> Matches:
     lines = _lines(path)
     crs = next((line[5:].strip() for line in lines if line.upper().startswith("#CRS:")), "")
     rows = list(csv.reader(line for line in lines if not line.startswith("#")))
@@ -154,33 +157,51 @@ def _qgis(path: Path, reference: str | Path | None) -> Matches:
     on = rows[0].index("enable") if "enable" in rows[0] else None
     kept = [row for row in rows[1:] if on is None or row[on].strip() not in ("0", "false")]
     values = _numbers([[row[rows[0].index(n)] for n in names] for row in kept]).reshape(-1, 4)
+    to = _side(values[:, :2], "mapX, mapY", "reference", reference, crs, on_map=bool(crs))
+    return _bare(np.hstack([to, _side(values[:, 2:], "sourceX, sourceY", "secondary", secondary, crs, on_map=False)]))
+
+
+def _side(
+    at: NDArray[np.float64], names: str, role: str, image: str | Path | None, crs: str, *, on_map: bool
+) -> NDArray[np.float64]:
+    """Pixels of an image from the georeferencer's coordinates; `on_map` where these are surely no pixels."""
     # The georeferencer counts rows upwards from the top edge, so they are negative.
-    half = PIXEL_OFFSETS["qgis"]
-    secondary = values[:, 2:] * (1, -1) - half
-    if not crs and reference is None:
-        if len(values) and (values[:, 1] > half).any():
-            raise InputError("mapX, mapY are no pixels (mapY > 0) and no CRS is named; give the reference image")
-        return _bare(np.hstack([values[:, :2] * (1, -1) - half, secondary]))
-    if reference is None:
-        raise InputError("holds map coordinates (it has a CRS line); give the reference image, to find its pixels")
-    return _bare(np.hstack([_map_to_pixels(values[:, :2], crs, reference), secondary]))
-
-
-def _map_to_pixels(ground: NDArray[np.float64], crs: str, reference: str | Path) -> NDArray[np.float64]:
+    pixels = at * (1, -1) - PIXEL_OFFSETS["qgis"]
+    if image is None:
+        if on_map:
+            raise InputError(f"{names} are map coordinates (it has a CRS line); give the {role} image")
+        if (pixels < -1).any():
+            raise InputError(f"{names} are no pixels (some lie left of or above the image); give the {role} image")
+        return pixels
     from featreg.raster_source import RasterSource
 
-    place = RasterSource(str(reference), band=1).geolocation
+    source = RasterSource(str(image), band=1)
+    place = source.geolocation
     if place is None or place.transform is None:
-        raise InputError(f"{reference}: has no geotransform, so map coordinates say nothing about its pixels")
+        if on_map:
+            raise InputError(f"{image}: has no geotransform, so map coordinates say nothing about its pixels")
+        return pixels
+    if on_map and place.crs:
+        _check_crs(crs, place.crs, image)
+    a, b, c, d, e, f = place.transform
+    ground = np.asarray(np.linalg.solve(np.array([[a, b], [d, e]]), (at - (c, f)).T).T - 0.5)
+    if on_map:
+        return ground
+
+    def inside(xy: NDArray[np.float64]) -> int:
+        height, width = source.shape
+        return int(((xy > -1) & (xy < (width, height))).all(axis=1).sum())
+
+    # Marked points of two plain images are pixels even where the images lie on a map; QGIS would name a CRS.
+    return ground if inside(ground) > inside(pixels) - bool(crs) else pixels
+
+
+def _check_crs(given: str, wanted: str, image: str | Path) -> None:
     import rasterio.crs
 
-    if crs and place.crs:
-        try:
-            same = rasterio.crs.CRS.from_user_input(crs) == rasterio.crs.CRS.from_user_input(place.crs)
-        except rasterio.errors.CRSError as error:
-            raise InputError(f"its CRS line cannot be read ({error})") from error
-        if not same:
-            raise InputError(f"its coordinate system is not that of {reference}; mark the points in the reference's")
-    a, b, c, d, e, f = place.transform
-    corner = np.linalg.solve(np.array([[a, b], [d, e]]), (ground - (c, f)).T).T
-    return np.asarray(corner - 0.5)
+    try:
+        same = rasterio.crs.CRS.from_user_input(given) == rasterio.crs.CRS.from_user_input(wanted)
+    except rasterio.errors.CRSError as error:
+        raise InputError(f"its CRS line cannot be read ({error})") from error
+    if not same:
+        raise InputError(f"its coordinate system is not that of {image}; mark the points in the reference's")

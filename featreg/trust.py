@@ -13,7 +13,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from featreg.errors import InputError
-from featreg.geometry import Affine, decompose, dilution, local_linear, prediction_covariance, regional_covariance
+from featreg.geometry import (
+    Affine,
+    decompose,
+    dilution,
+    local_linear,
+    prediction_covariance,
+    refitted_covariance,
+    regional_covariance,
+)
 from featreg.interfaces import FailedFit, Model
 from featreg.robust import irls
 from featreg.types import BoolArray, FloatArray, Gate, IntArray, Matches
@@ -48,6 +56,8 @@ class Limits:
         such gate
     block_share : of a scene's blocks with content, the share that must hold a final tie point
     held_out_rmse_px : of a scene, RMSE of each half of its blocks from the model of the other, at most
+    block_error_px : of a scene, median distance of a block's own tie points from the model, at most, in all blocks but
+        the worst twentieth
     """
 
     least_inliers: int = 12
@@ -59,6 +69,7 @@ class Limits:
     uncertainty_px: float = 2.0
     block_share: float = 0.1
     held_out_rmse_px: float = 2.0
+    block_error_px: float = 2.0
     stability_px: float = 1.5
     distortion_px: float = math.inf
     dilution: float = math.inf
@@ -127,12 +138,14 @@ def assess(
         "standard error of the model over the image, px",
         high=limits.uncertainty_px,
     )
-    gate(
-        "stability",
-        instability(model, here, there, reference_shape),
-        "error of the model over the image by leaving out regions of tie points, px",
-        high=limits.stability_px,
-    )
+    unstable = instability(model, here, there, reference_shape)
+    if unstable is not None:
+        gate(
+            "stability",
+            unstable,
+            "error of the model over the image by leaving out regions of tie points, px",
+            high=limits.stability_px,
+        )
     if math.isfinite(limits.distortion_px) and type(model).minimum < Affine.minimum:
         gate(
             "distortion",
@@ -247,8 +260,7 @@ def model_uncertainty(
     try:
         covariance = prediction_covariance(model, reference_xy, secondary_xy, at=_grid(shape))
     except InputError:
-        # A model of another package: its derivatives are unknown, so the other gates must do.
-        return 0.0
+        covariance = refitted_covariance(model, reference_xy, secondary_xy, at=_grid(shape))
     return _overall(covariance)
 
 
@@ -258,11 +270,14 @@ def _grid(shape: tuple[int, int]) -> FloatArray:
     return np.column_stack([x.ravel(), y.ravel()])
 
 
-def instability(model: Model, reference_xy: FloatArray, secondary_xy: FloatArray, shape: tuple[int, int]) -> float:
+def instability(
+    model: Model, reference_xy: FloatArray, secondary_xy: FloatArray, shape: tuple[int, int]
+) -> float | None:
     """Root mean square error in pixels of where a model maps a 5 x 5 grid over an image, by leaving out regions.
 
     Each of 4 x 4 regions of the tie points' bounding box is left out in turn. On real pairs the true error is 1.5 times
-    this value in the median, and 4 times `model_uncertainty`. NaN where it cannot be told.
+    this value in the median, and 4 times `model_uncertainty`. NaN where it cannot be told; None for a model without
+    known derivatives (a residual field, one of another package), which may follow each region by itself.
     """
     if not len(reference_xy):
         return math.nan
@@ -272,7 +287,7 @@ def instability(model: Model, reference_xy: FloatArray, secondary_xy: FloatArray
     try:
         covariance = regional_covariance(model, reference_xy, secondary_xy, region, at=_grid(shape))
     except InputError:
-        return 0.0
+        return None
     return _overall(covariance)
 
 

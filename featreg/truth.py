@@ -101,7 +101,7 @@ def read_truth(truth: TruthLike, images: tuple[Any, Any] | None = None) -> Truth
     if isinstance(truth, str) and truth.partition(":")[0] == GEOLOCATION:
         return _from_geolocation(truth.partition(":")[2], images)
     if isinstance(truth, str | Path):
-        return _from_file(Path(truth), None if images is None else images[0])
+        return _from_file(Path(truth), images)
     return _from_array(truth, "the truth")
 
 
@@ -196,19 +196,20 @@ class _Known:
         return mapped
 
 
-def _from_file(path: Path, image: Any = None) -> Truth:
-    """The truth of a file; points that QGIS marked on a map need the reference image."""
+def _from_file(path: Path, images: tuple[Any, Any] | None = None) -> Truth:
+    """The truth of a file; points that QGIS marked on a map need the images."""
     what = f"truth '{path}'"
+    files = [image if isinstance(image, str | Path) else None for image in images or (None, None)]
     readers: dict[str, Callable[[Path, str], Truth]] = {
         ".npy": lambda p, w: _from_array(np.load(p, allow_pickle=False), w),
         ".json": _from_json,
         ".txt": _from_text,
         ".csv": _from_text,
-        ".points": lambda p, w: _from_tie_points(p, w, image if isinstance(image, str | Path) else None),
+        ".points": lambda p, w: _from_tie_points(p, w, *files),
         ".pts": _from_tie_points,
     }
     if path.suffix.lower() not in readers:
-        raise InputError(f"{what} must be a {', '.join(readers)} file")
+        raise InputError(f"{what} must be a {', '.join(readers)} file, or one of the words {', '.join(WORDS)}")
     try:
         return readers[path.suffix.lower()](path, what)
     except FeatregError as error:
@@ -252,10 +253,12 @@ def _from_text(path: Path, what: str) -> Truth:
     return _from_marked(np.array([[float(row[c]) for c in columns] for row in cells[1:]]).reshape(-1, 4), what)
 
 
-def _from_tie_points(path: Path, what: str, reference: str | Path | None = None) -> Truth:
+def _from_tie_points(
+    path: Path, what: str, reference: str | Path | None = None, secondary: str | Path | None = None
+) -> Truth:
     from featreg.tie_points import read_tie_points
 
-    matches = read_tie_points(path, reference=reference)
+    matches = read_tie_points(path, reference=reference, secondary=secondary)
     return _from_marked(np.hstack([matches.reference_xy, matches.secondary_xy]), what)
 
 

@@ -60,6 +60,11 @@ class PatchGrid(Matcher):
                 f"{self.patch}, {self.patch_width}, {self.step} and {self.passes}"
             )
 
+    @property
+    def reach(self) -> float:
+        """Half a patch."""
+        return max(self.patch, self.patch_width) / 2
+
     def match(self, reference: Image, secondary: Image) -> Matches:
         """Return one tie point per patch that holds something, wrong ones included.
 

@@ -62,7 +62,8 @@ class TargetCentroids(Matcher):
     model is fitted and outliers are cancelled as in the filter `mad`.
 
     The covariance of a correlated tie point is (1 - rho^2) times the inverse curvature of its peak, times one factor
-    for all from the residuals of the last fit.
+    for all from the residuals of the last fit. The pipeline's final fit weights by the inverse of it, which the paper
+    leaves at 1: the mean error falls from 0.032 to 0.027 degrees on real couples, and not on simulated ones.
     """
 
     tie_points: str = "rc"

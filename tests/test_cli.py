@@ -177,7 +177,7 @@ def _broken_files(home: Path) -> dict[str, str]:
     (home / "text.tif").write_text("range azimuth power\n" * 50)
     write_geotiff(home / "tiny.tif", np.arange(9, dtype=np.float32).reshape(3, 3))
     write_geotiff(home / "flat.tif", np.full((40, 40), 7, np.float32))
-    write_geotiff(home / "nan.tif", np.full((40, 40), np.nan, np.float32))
+    write_geotiff(home / "nan.tif", np.full((256, 256), np.nan, np.float32))
     np.save(home / "long.npy", np.ones((2, 70000), np.float32))
     with rasterio.open(home / "bands.tif", "w", driver="GTiff", height=40, width=40, count=2, dtype="uint8") as file:
         file.write(np.arange(3200, dtype=np.uint8).reshape(2, 40, 40))

@@ -367,6 +367,34 @@ def test_latex_escapes_and_sets_the_best_in_bold(table: Table) -> None:
     assert lines[-1].startswith(r"\par{\footnotesize")
     only = compare([(image(0), image(1), TRUTH)], ["sharp"]).to_latex()
     assert r"\textbf" not in only
+    row = {"pair": r"a\b{c}", "method": "x<y|~^", "status": "ok", "ncm": 5, "reason": "#1 & 2 at 3$"}
+    assert (
+        r"a\textbackslash{}b\{c\} & x\textless{}y\textbar{}\~{}\^{} & ok & 5 & \#1 \& 2 at 3\$ \\"
+        in Table([row]).to_latex()
+    )
+
+
+def test_giving_up_wins_no_bold_mean() -> None:
+    rows = [
+        {"pair": pair, "method": method, "status": "ok", "rmse": value, "reason": ""}
+        for method, values in (("all", [0.5, 0.7]), ("half", [0.1, None]))
+        for pair, value in zip("ab", values, strict=True)
+    ]
+    lines = Table(rows).to_latex().splitlines()
+    assert [line for line in lines if line.startswith(("median", "mean"))] == [
+        r"median & all & 2/2 ok & 0.600 \\",
+        r"median & half & 2/2 ok & 0.100 \\",
+        r"mean & all & 2/2 ok & 0.600 \\",
+        r"mean & half & 2/2 ok & 0.100 \\",
+    ]
+    third = [{**row, "method": "third", "rmse": 0.8} for row in rows if row["method"] == "all"]
+    bold = [line for line in Table([*rows, *third]).to_latex().splitlines() if r"\textbf" in line]
+    assert bold == [
+        r"b & all & ok & \textbf{0.700} \\",
+        r"a & half & ok & \textbf{0.100} \\",
+        r"median & all & 2/2 ok & \textbf{0.600} \\",
+        r"mean & all & 2/2 ok & \textbf{0.600} \\",
+    ]
 
 
 def test_the_same_comparison_gives_the_same_table() -> None:

@@ -12,6 +12,8 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+#: Pages whose commands match and compare for more than a few seconds.
+SLOW = ("README.md", "comparisons.md")
 
 # What a page's script needs beside its own blocks.
 HELPERS = """\
@@ -72,7 +74,7 @@ def _fill(out: list[str], lines: list[str], start: int, stop: int, language: str
 
 
 @pytest.mark.parametrize(
-    "page", [pytest.param(p, id=p.name, marks=pytest.mark.slow if p.name == "README.md" else ()) for p in PAGES]
+    "page", [pytest.param(p, id=p.name, marks=pytest.mark.slow if p.name in SLOW else ()) for p in PAGES]
 )
 def test_what_the_page_shows_works(page: Path, tmp_path: Path) -> None:
     (tmp_path / "_helpers.py").write_text(HELPERS, encoding="utf-8")

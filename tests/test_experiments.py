@@ -23,8 +23,9 @@ from featreg.cli import main
 from featreg.errors import FeatregError, InputError, ParameterError, UnknownNameError
 from featreg.experiments.pairs import pairs_in
 from featreg.experiments.protocol import Protocol
+from featreg.experiments.report_data import report_of
 from featreg.experiments.study import Study
-from featreg.io import write_geotiff
+from featreg.io import as_image, write_geotiff
 from featreg.simulate import sar_pair
 from featreg.types import Geolocation
 
@@ -155,6 +156,9 @@ def test_what_cannot_run_is_refused_before_anything_is_matched(folder: Path) -> 
         experiment(folder, methods=["orbb"]).run()
     with pytest.raises(ParameterError, match=r"method 'orb treshold=1'.*no part .*'treshold'"):
         experiment(folder, methods=["orb"], grid={"treshold": [1]}).run()
+    for own in ({"parameters": {"seed": 3}}, {"grid": {"seed": [1, 2]}}, {"methods": [{"method": "orb", "seed": 3}]}):
+        with pytest.raises(ParameterError, match="'seed' is no parameter of a method; give a list of seeds"):
+            experiment(folder, **own).run()
     with pytest.raises(InputError, match=r"pair 1: .*no\.csv"):
         experiment(folder, pairs=[("a.tif", "b.tif", "no.csv")]).run()
     with pytest.raises(FeatregError, match="not-there"):
@@ -423,6 +427,17 @@ def test_killed_and_resumed_it_ends_identical(folder: Path, tmp_path: Path) -> N
         done = subprocess.run([*command, "--resume", str(kept)], capture_output=True, text=True, check=True)
         assert done.stdout == whole
     assert not list(kept.glob(".*"))
+
+
+def test_a_report_reads_plain_files_itself(folder: Path) -> None:
+    """A path is handed on, so that of a large scene only an overview is read."""
+    (plain,) = report_of(experiment(folder, pairs=pairs_in(folder)[:1], methods=["orb"]).run(isolate=False)).pairs
+    assert plain.reference == folder / "city_before.tif"
+    told = {"timing": False, "nodata": 0.0, "scale": "intensity"}
+    made = experiment(folder, pairs=pairs_in(folder)[:1], methods=["orb"], protocol=told).run(isolate=False)
+    read: Any = report_of(made).pairs[0].reference
+    image = read()
+    assert image.amplitude.max() == pytest.approx(np.sqrt(as_image(folder / "city_before.tif").amplitude.max()))
 
 
 def test_protocol_survives_replacing() -> None:

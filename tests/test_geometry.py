@@ -516,6 +516,21 @@ def test_prediction_covariance_agrees_with_the_rigid_errors() -> None:
     np.testing.assert_allclose(np.sqrt(np.diag(covariance)), error.shift, rtol=1e-9)
 
 
+def test_prediction_covariance_of_a_known_error_takes_the_weights_as_they_are() -> None:
+    xy, at = scattered(30), np.array([[20.0, 30.0]])
+    model, weights = fitted(Affine, xy, xy), np.linspace(1.0, 3.0, 30)
+    one, other = (
+        prediction_covariance(model, xy, xy, w, at=at, sigma=s) for w, s in ((4 * weights, 1.0), (weights, 0.5))
+    )
+    assert not isinstance(one, FailedFit)
+    assert not isinstance(other, FailedFit)
+    np.testing.assert_allclose(one, other)
+    # The mean of equal points: sigma^2 over the sum of their weights.
+    centre = prediction_covariance(Translation(0.0, 0.0), xy, xy, np.full(30, 4.0), at=at, sigma=1.0)
+    assert not isinstance(centre, FailedFit)
+    np.testing.assert_allclose(centre[0], np.eye(2) / 120)
+
+
 def test_prediction_covariance_needs_more_than_the_fewest_points() -> None:
     xy = scattered(3)
     assert "no degree of freedom" in prediction_covariance(fitted(Affine, xy, xy), xy, xy, at=(0, 0)).reason  # type: ignore[union-attr]

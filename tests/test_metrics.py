@@ -11,7 +11,7 @@ import pytest
 
 from featreg.errors import InputError, ParameterError, UnknownNameError
 from featreg.evaluation import area_under_curve, repeatable
-from featreg.experiments.intervals import interval
+from featreg.experiments.intervals import Interval, interval
 from featreg.experiments.metrics import FAMILIES, METRICS, Case, check_metrics, measured, metric_of, of_failure
 from featreg.geometry import Affine, Translation
 from featreg.interfaces import FailedFit
@@ -107,6 +107,7 @@ def test_a_failure_is_counted_and_not_left_out() -> None:
 
 def test_names_of_metrics() -> None:
     assert check_metrics(["ncm", "auc@3", "ncm"]) == ("ncm", "auc@3")
+    assert check_metrics("ncm") == ("ncm",)
     for wrong, why in (("ncmm", "did you mean 'ncm'"), ("auk@3", "auc@3"), ("", "known"), ("act.", "unknown")):
         with pytest.raises(UnknownNameError, match=why):
             metric_of(wrong)
@@ -160,6 +161,13 @@ def test_intervals_of_little_data() -> None:
     assert interval([[1.0], [2.0], [1.5], [1.2], [1.7]]).excludes_zero
     with pytest.raises(ParameterError, match="confidence"):
         interval([[1.0]], 95)
+
+
+def test_an_interval_is_short_but_not_rounded_to_tens() -> None:
+    assert str(Interval(1152.67, 538.2, 1555.4, 9)) == "1153 [538, 1555]"
+    assert str(Interval(0.82951, 0.1, 2e6, 9, missing=2)) == "0.83 [0.1, 2e+06] without 2"
+    assert str(Interval(None, None, None, 0)) == ""
+    assert str(Interval(-0.5, None, None, 1)) == "-0.5"
 
 
 def test_a_mean_says_how_many_pairs_it_leaves_out() -> None:

@@ -154,7 +154,7 @@ def test_rpcs_and_gcps_of_the_reference_go_along(tmp_path: Path, place: Geolocat
     [
         ("uint8", None, ("uint8", 0)), ("uint16", 7, ("uint16", 7)), ("int16", None, ("int16", -32768)),
         ("int32", 0, ("int32", 0)), ("float32", -99, ("float32", -99)), ("float64", None, ("float32", None)),
-        ("uint64", None, ("float32", None)),
+        ("uint64", None, ("float32", None)), ("float64", -1.7976931348623157e308, ("float32", None)),
     ],
 )  # fmt: skip
 def test_samples_keep_dtype_and_nodata(
@@ -473,6 +473,10 @@ def test_misuse_leaves_nothing_behind(tmp_path: Path) -> None:
         (ParameterError, {"deramp": True}, "need complex ones"),
         (ParameterError, {"coherence": tmp_path / "c.tif"}, "need complex ones"),
         (ParameterError, {"secondary_scale": -1.0}, "must be > 0"),
+        (ParameterError, {"secondary_scale": (1.0, 2.0, 3.0)}, "one number or two"),
+        (InputError, {"like": (0, 340)}, r"its \(H, W\)"),
+        (ParameterError, {"coherence_window": (3,)}, "odd number"),
+        (ParameterError, {"coherence_window": 2.5}, "odd number"),
         (InputError, {"registration": registration(tmp_path, FailedFit("2 points"))}, r"no model \(2 points\)"),
     ]
     before = read(sec)[0]
@@ -496,6 +500,29 @@ def test_coherence_needs_a_complex_reference_at_hand(tmp_path: Path) -> None:
         warp_file(reg, tmp_path / "sec.tif", tmp_path / "o.tif", coherence=tmp_path / "c.tif")
     with pytest.raises(InputError, match="also the output"):
         warp_file(reg, tmp_path / "sec.tif", tmp_path / "o.tif", coherence=tmp_path / "o.tif")
+
+
+def test_coherence_is_that_of_one_band(tmp_path: Path) -> None:
+    samples = band_limited(128, 0)
+    write(tmp_path / "sec.tif", np.stack([samples, 2 * samples]))
+    write_geotiff(tmp_path / "ref.tif", samples)
+    reg, out = registration(tmp_path, Affine(np.eye(3)[:2]), (128, 128)), tmp_path / "o.tif"
+    with pytest.raises(ParameterError, match="has 2 bands, the coherence is that of one"):
+        warp_file(reg, tmp_path / "sec.tif", out, coherence=tmp_path / "c.tif")
+    made = warp_file(reg, tmp_path / "sec.tif", out, band=2, coherence=tmp_path / "c.tif")
+    assert made.coherence == pytest.approx(1, abs=1e-5)
+
+
+def test_the_scale_in_the_result_is_that_of_the_file_by_any_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files(tmp_path, texture(*SHAPE))
+    reg = registration(tmp_path, scale="intensity")
+    monkeypatch.chdir(tmp_path)
+    for name in (tmp_path / "sec.tif", "sec.tif"):
+        warp_file(reg, name, tmp_path / f"{str(name)[0] == '/'}.tif", resampling="bilinear")
+    absolute, relative = (read(tmp_path / f"{name}.tif")[0] for name in (True, False))
+    np.testing.assert_array_equal(absolute, relative)
 
 
 def test_progress_and_cancel(tmp_path: Path) -> None:

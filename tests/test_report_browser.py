@@ -392,6 +392,16 @@ def test_a_narrow_window_scrolls_in_one_direction_only(visit: Callable[..., Visi
     assert seen.page.evaluate("document.documentElement.scrollWidth") <= 390
 
 
+@pytest.mark.parametrize("width", [1000, 1400, 1700])
+def test_no_chart_is_cut_off(visit: Callable[..., Visit], width: int) -> None:
+    page = visit().page
+    page.set_viewport_size({"width": width, "height": 800})
+    cut = "figures => figures.filter(f => f.scrollWidth > f.clientWidth + 1).map(f => f.textContent.slice(0, 30))"
+    figures = page.locator("#charts figure")
+    assert figures.count() >= 4
+    assert figures.evaluate_all(cut) == []
+
+
 def test_a_sweep_shows_its_best_cell(visit: Callable[..., Visit]) -> None:
     page = visit().page
     chart = page.get_by_role("img", name="ncm over bits and threshold")

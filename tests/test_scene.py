@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import signal
 import threading
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
@@ -220,6 +221,29 @@ def _dies_once(flag: str, number: int) -> int:
         Path(flag).touch()
         os._exit(1)
     return number
+
+
+def test_a_broken_wait_for_the_workers_is_not_broken_off_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A second Ctrl-C while the workers end would leave them waiting for ever."""
+    before = signal.getsignal(signal.SIGINT)
+    during: list[Any] = []
+    with open_lane("processes", 2) as lane:
+        running = lane.run(_double, (), list(range(6)), None)
+        assert next(running) == (0, 0)
+        next(running)
+        shutdown = ProcessPoolExecutor.shutdown
+
+        def watched(pool: Any, **keywords: Any) -> None:
+            during.append(signal.getsignal(signal.SIGINT))
+            shutdown(pool, **keywords)
+
+        monkeypatch.setattr(ProcessPoolExecutor, "shutdown", watched)
+    assert during == [signal.SIG_IGN]
+    assert signal.getsignal(signal.SIGINT) == before
+
+
+def _double(number: int) -> int:
+    return 2 * number
 
 
 def test_a_process_with_several_threads_is_not_forked() -> None:
@@ -444,7 +468,7 @@ def test_a_job_is_small_and_a_block_result_survives_its_columns(located_pair: An
     pipeline = assemble("sar-orb", n_features=400)
     assert pipeline.matcher is not None
     sources = open_source(located_pair.reference), open_source(located_pair.secondary)
-    job = Job(*sources, pipeline.matcher, (), pipeline.model, pipeline.refine, 0, 400)
+    job = Job(*sources, pipeline.matcher, (), pipeline.model, pipeline.refine, 0, 400, 40)
     prior = Prior(Affine(located_pair.truth), 5.0, "truth")
     assert len(pickle.dumps((job, prior))) < 20_000
     got = run_block(job, prior, Block(7, 1, 2, Window(300, 300, 200, 200)))

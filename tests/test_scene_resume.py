@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import signal
@@ -231,3 +232,60 @@ def test_the_command_works_in_blocks(
     written = json.loads((tmp_path / "r.json").read_text())
     assert written["blocks"]["total"] == 12
     assert plain(Registration.from_json(tmp_path / "r.json")) == plain(undisturbed[1])
+
+
+def test_a_full_disk_is_said_and_leaves_no_half_file(
+    located_pair: Any, undisturbed: tuple[Path, Registration], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    state, written = tmp_path / "state", Path.write_bytes
+
+    def full(path: Path, content: Any) -> int:
+        if len(list(state.glob("*.npz"))) < 3:
+            return written(path, content)
+        written(path, bytes(content)[:100])
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(featreg.InputError, match="No space left"):
+        again(located_pair, state)
+    assert len(list(state.iterdir())) == 3
+    monkeypatch.undo()
+    got = again(located_pair, state)
+    assert got.provenance["blocks"]["reused"] == 3
+    assert plain(got) == plain(undisturbed[1])
+
+
+def test_blocks_of_another_method_are_left_alone(
+    located_pair: Any, undisturbed: tuple[Path, Registration], tmp_path: Path
+) -> None:
+    copied(undisturbed[0], tmp_path / "state")
+    before = {path.name: path.read_bytes() for path in (tmp_path / "state").iterdir()}
+    other = featreg.match(
+        located_pair.reference, located_pair.secondary, **BLOCK, method="orb", resume=tmp_path / "state"
+    )
+    assert other.provenance["blocks"]["reused"] == 0
+    assert all((tmp_path / "state" / name).read_bytes() == content for name, content in before.items())
+    assert again(located_pair, tmp_path / "state").provenance["blocks"]["computed"] == 0
+
+
+def test_the_picture_of_a_large_scene_is_made_from_overviews(
+    located_pair: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import cv2
+
+    from featreg import io
+    from featreg.cli import main
+
+    command = ["match", str(located_pair.reference), str(located_pair.secondary), "--block", "200", "--workers", "1"]
+    assert main([*command, "--plot", str(tmp_path / "whole.png")]) == 0
+    monkeypatch.setattr("featreg.matching.MOST_PIXELS", 100_000)
+    monkeypatch.setattr("featreg.cli_scene.DRAWN", 400)
+    monkeypatch.setattr(io, "as_image", None)
+    assert main([*command, "--plot", str(tmp_path / "reduced.png")]) == 0
+    whole, reduced = (cv2.imread(str(tmp_path / name), cv2.IMREAD_GRAYSCALE) for name in ("whole.png", "reduced.png"))
+    assert whole is not None
+    assert reduced is not None
+    # The panels hold the same ground at the same places, and the tie points lie on it.
+    size = (400, 400)
+    a, b = (cv2.resize(picture, size, interpolation=cv2.INTER_AREA).astype(float) for picture in (whole, reduced))
+    assert np.corrcoef(a[40:].ravel(), b[40:].ravel())[0, 1] > 0.9

@@ -89,8 +89,11 @@ def polynomial(name: str, *coefficients: float) -> str:
     return f'<{name} order1="{len(coefficients) - 1}">{terms}</{name}>'
 
 
-def sicd_xml(pixel_type: str) -> str:
-    """A platform 700 km up flies north past a plane grid at the equator; rows go east, columns north, 10 m apart."""
+def sicd_xml(pixel_type: str, first: tuple[int, int] = (0, 0)) -> str:
+    """A platform 700 km up flies north past a plane grid at the equator; rows go east, columns north, 10 m apart.
+
+    The image is the part of the grid that starts at the row and column `first`.
+    """
     arp, velocity = SCP + np.array([700e3, -500e3, 0.0]), np.array([0.0, 0.0, 7500.0])
     corners = "".join(
         f'<ICP index="{name}"><Lat>{lat}</Lat><Lon>{lon}</Lon></ICP>'
@@ -100,8 +103,9 @@ def sicd_xml(pixel_type: str) -> str:
     return f"""<SICD xmlns="{NAMESPACE}">
     <CollectionInfo><CollectorName>test</CollectorName><CoreName>test</CoreName><CollectType>MONOSTATIC</CollectType>
       <RadarMode><ModeType>STRIPMAP</ModeType></RadarMode><Classification>UNCLASSIFIED</Classification></CollectionInfo>
-    <ImageData><PixelType>{pixel_type}</PixelType><NumRows>60</NumRows><NumCols>80</NumCols><FirstRow>0</FirstRow>
-      <FirstCol>0</FirstCol><FullImage><NumRows>60</NumRows><NumCols>80</NumCols></FullImage>
+    <ImageData><PixelType>{pixel_type}</PixelType><NumRows>60</NumRows><NumCols>80</NumCols><FirstRow>{first[0]}</FirstRow>
+      <FirstCol>{first[1]}</FirstCol><FullImage><NumRows>{60 + first[0]}</NumRows>
+      <NumCols>{80 + first[1]}</NumCols></FullImage>
       <SCPPixel><Row>30</Row><Col>40</Col></SCPPixel></ImageData>
     <GeoData><EarthModel>WGS_84</EarthModel><SCP>{vector("ECF", SCP)}
       <LLH><Lat>0.0</Lat><Lon>0.0</Lon><HAE>0.0</HAE></LLH></SCP><ImageCorners>{corners}</ImageCorners></GeoData>
@@ -115,10 +119,10 @@ def sicd_xml(pixel_type: str) -> str:
       <SideOfTrack>R</SideOfTrack></SCPCOA></SICD>"""
 
 
-def write_sicd(path: Path, raw: NDArray[Any], pixel_type: str) -> None:
+def write_sicd(path: Path, raw: NDArray[Any], pixel_type: str, first: tuple[int, int] = (0, 0)) -> None:
     sicd = pytest.importorskip("sarkit.sicd")
     etree = pytest.importorskip("lxml.etree")
-    tree = etree.ElementTree(etree.fromstring(sicd_xml(pixel_type)))
+    tree = etree.ElementTree(etree.fromstring(sicd_xml(pixel_type, first)))
     part = {"security": {"clas": "U"}}
     meta = sicd.NitfMetadata(
         xmltree=tree, file_header_part={"ostaid": "here"} | part, im_subheader_part={"isorce": "test"} | part,
@@ -154,6 +158,19 @@ def test_sicd_samples_and_geometry(tmp_path: Path, pixel_type: str) -> None:
     )  # 0.01 px: rows are on the tangent plane
     np.testing.assert_allclose(gcps[:, 4], 0, atol=0.5)
     np.testing.assert_array_equal(RasterSource(str(path)).read(Window(3, 4, 20, 20)).pixels, image.pixels[4:24, 3:23])
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore:.*SCHEMASV:UserWarning")  # of sarkit
+def test_a_sicd_that_is_a_part_of_a_larger_image_lies_where_that_part_does(tmp_path: Path) -> None:
+    path = tmp_path / "part.nitf"
+    write_sicd(path, SLC.astype(np.complex64), "RE32F_IM32F", first=(20, 10))
+    place = as_image(path).geolocation
+    assert place is not None
+    assert place.gcps is not None
+    centre = place.gcps[(place.gcps[:, :2] == [0, 0]).all(axis=1)][0]
+    # The scene centre point is pixel (30, 40) of the whole image.
+    degrees, north = np.degrees(10 / 6378137.0), np.degrees(10 / (6378137.0 * (1 - 0.00669438)))
+    np.testing.assert_allclose(centre[2:4], [(20 - 30) * degrees, (10 - 40) * north], atol=1e-6)
 
 
 def test_sicd_amplitude_and_phase() -> None:

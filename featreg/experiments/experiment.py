@@ -140,6 +140,8 @@ class Experiment:
         found: dict[str, Method] = {}
         for label, own in _labelled(self.methods).items():
             common = {**self.protocol.keywords(), **self.parameters, **own}
+            if "seed" in common or "seed" in self.grid:
+                raise ParameterError(f"method '{label}': 'seed' is no parameter of a method; give a list of seeds")
             for values in itertools.product(*self.grid.values()):
                 point = dict(zip(self.grid, values, strict=True))
                 name = " ".join([label, *(f"{key}={value}" for key, value in point.items())])

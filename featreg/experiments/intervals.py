@@ -47,8 +47,13 @@ class Interval:
     def __str__(self) -> str:
         if self.mean is None:
             return ""
-        reach = "" if self.low is None else f" [{self.low:.3g}, {self.high:.3g}]"
-        return f"{self.mean:.3g}{reach}{f' without {self.missing}' if self.missing else ''}"
+        reach = "" if self.low is None or self.high is None else f" [{_short(self.low)}, {_short(self.high)}]"
+        return f"{_short(self.mean)}{reach}{f' without {self.missing}' if self.missing else ''}"
+
+
+def _short(value: float) -> str:
+    """Three digits that count, but a number of four or five in full: 1153 and not 1.15e+03."""
+    return f"{value:.0f}" if 1000 <= abs(value) < 1e5 else f"{value:.3g}"
 
 
 def interval(

@@ -154,6 +154,7 @@ def metric_of(name: str) -> Metric:
 
 def check_metrics(names: Sequence[str]) -> tuple[str, ...]:
     """Return the names, each of them known and only once."""
+    names = (names,) if isinstance(names, str) else names
     for name in names:
         if not isinstance(name, str):
             raise ParameterError(f"a metric is a name such as 'ncm' or 'auc@3', got {name!r}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -50,7 +50,7 @@ def report_of(study: Study) -> ReportStudy:
     ]
     rows = zip(study.outcomes, table.rows, strict=True)
     return ReportStudy(
-        title=study.title or f"{len(study.methods)} methods on {len(study.pairs)} pairs",
+        title=study.title or f"{_many(len(study.methods), 'method')} on {_many(len(study.pairs), 'pair')}",
         pairs=pairs,
         entries=[_entry(study, job, row, table) for job, row in rows],
         table=_table(table),
@@ -61,10 +61,16 @@ def report_of(study: Study) -> ReportStudy:
     )
 
 
-def _reader(study: Study, source: Any) -> Image | Callable[[], Image]:
-    """The image, or a function that reads it as it was read for the matching."""
+def _many(count: int, what: str) -> str:
+    return f"{count} {what}{'s' * (count != 1)}"
+
+
+def _reader(study: Study, source: Any) -> Any:
+    """The image or its path, of which a large one need not be read whole; where its samples must be told first, a
+    function that reads it as it was read for the matching.
+    """
     protocol = study.protocol
-    if isinstance(source, Image):
+    if isinstance(source, Image) or (protocol.nodata is None and protocol.scale is None):
         return source
     return partial(as_image, source, nodata=protocol.nodata, scale=protocol.scale)
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +13,14 @@ from numpy.typing import NDArray
 
 from featreg.errors import InputError, ParameterError, suggest
 from featreg.interfaces import FailedFit, Model
+from featreg.product_grid import recorded, size_of
 from featreg.result_file import tie_point_columns
 from featreg.types import BoolArray, FloatArray, Geolocation, Matches, Registration
 
 #: Stages that every result has, beside its filters.
 ALWAYS = ("inliers", "all")
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +69,13 @@ def content_of(
     model = registration.model
     offset = np.full((len(matches), 2), np.nan)
     if not isinstance(model, FailedFit) and len(matches):
-        offset = model(matches.reference_xy) - matches.secondary_xy
+        try:
+            offset = model(matches.reference_xy) - matches.secondary_xy
+        except InputError as error:
+            # The elevation model of an RPC bias need not be at hand where the tie points are all that is wanted.
+            logger.warning("the model cannot be used, so residuals are left out (%s)", error)
+            why = f"it cannot be used ({error})"
+            registration = replace(registration, model=FailedFit(why), status="unreliable", reason=why)
     columns = {name: values[rows] for name, values in tie_point_columns(registration).items()}
     images = [_info(registration, role, path) for role, path in (("reference", reference), ("secondary", secondary))]
     return Content(matches, offset, columns, model, *images)
@@ -94,9 +104,9 @@ def rows_of(registration: Registration, stage: str) -> BoolArray:
 def _info(registration: Registration, role: str, given: str | Path | None) -> ImageInfo:
     from featreg.raster_source import RasterSource
 
-    known = dict((registration.provenance.get("inputs") or {}).get(role) or {})
+    known = recorded(registration, role)
     path = str(given if given is not None else known.get("path") or role)
-    size = (int(known.get("height") or 0), int(known.get("width") or 0))
+    size = size_of(known) or (0, 0)
     if given is None and not Path(path).is_file():
         return ImageInfo(path, size)
     try:
@@ -115,41 +125,47 @@ def _info(registration: Registration, role: str, given: str | Path | None) -> Im
     return ImageInfo(path, shape, place)
 
 
+def on_map(transform: tuple[float, ...], xy: FloatArray) -> FloatArray:
+    """Return the map coordinates (M, 2) of points of an image with this geotransform (GDAL's, from pixel corners)."""
+    a, b, c, d, e, f = transform
+    x, y = (xy + 0.5).T
+    return np.column_stack([a * x + b * y + c, d * x + e * y + f])
+
+
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """Ground coordinates of points: (M, 3) x, y, height in `crs` (WKT or authority code), and how they were found."""
+    """Ground coordinates of points: (M, 3) x, y, height in `crs` (WKT or authority code)."""
 
     xyz: FloatArray
     crs: str
-    how: str
 
 
-def ground_of(image: ImageInfo, xy: FloatArray) -> Ground | None:
+def ground_of(image: ImageInfo, xy: FloatArray, model: Model | FailedFit) -> Ground | None:
     """Return the ground coordinates of points of an image; None where nothing says where the image lies.
 
-    A geotransform gives its own map coordinates. RPC coefficients and ground control points give longitude and
-    latitude at one height: the coefficients' height offset, the mean height of the control points.
+    A geotransform gives its own map coordinates. RPC coefficients and ground control points give longitude, latitude
+    and height: on the ground that the model rests on where it has one, else all at one height, the offset of the
+    coefficients or the mean of the control points.
     """
     place = image.geolocation
     if place is None:
         return None
     if place.transform is not None and place.rpcs is None:
-        a, b, c, d, e, f = place.transform
-        x, y = (xy + 0.5).T
-        ground = np.column_stack([a * x + b * y + c, d * x + e * y + f, np.zeros(len(xy))])
-        return Ground(ground, place.crs or "", "its geotransform")
-    from featreg.geolocation import sensor_of
+        ground = np.column_stack([on_map(place.transform, xy), np.zeros(len(xy))])
+        return Ground(ground, place.crs or "")
+    from featreg.geolocation import ConstantHeight, RpcBias, sensor_of
+    from featreg.geolocation.transfer import on_ground
 
-    if place.rpcs is not None:
-        height, how = float(place.rpcs["height_off"]), "its RPC coefficients at their height offset"
+    if isinstance(model, RpcBias):
+        heights = model.heights
+    elif place.rpcs is not None:
+        heights = ConstantHeight(place.rpcs["height_off"])
     elif place.gcps is not None:
-        height, how = float(place.gcps[:, 4].mean()), "its ground control points at their mean height"
+        heights = ConstantHeight(place.gcps[:, 4].mean())
     else:
         return None
-    sensor = sensor_of(place, image.size, image.path)
-    lonlat = sensor.image_to_ground(np.asarray(xy, np.float64), height)
-    if not np.isfinite(lonlat).all():
-        raise InputError(
-            f"{image.path}: {int((~np.isfinite(lonlat).all(1)).sum())} tie points have no place on the ground"
-        )
-    return Ground(np.column_stack([lonlat, np.full(len(xy), height)]), "EPSG:4326", how)
+    lonlat, level = on_ground(sensor_of(place, image.size, image.path), np.asarray(xy, np.float64), heights)
+    lost = int((~np.isfinite(lonlat).all(axis=1)).sum())
+    if lost:
+        raise InputError(f"{image.path}: {lost} tie points have no place on the ground")
+    return Ground(np.column_stack([lonlat, level]), "EPSG:4326")

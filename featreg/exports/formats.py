@@ -8,6 +8,8 @@ from pathlib import Path
 
 from featreg.errors import InputError, ParameterError, suggest
 from featreg.exports.content import content_of
+from featreg.product_grid import inputs_of
+from featreg.result_file import tie_point_file
 from featreg.types import Registration
 from featreg.writers import replacing
 
@@ -28,6 +30,7 @@ FORMATS = {
     "qgis": Format((".points",), "georeferencer points", "(0.5, -0.5)"),
     "envi": Format((".pts",), "image-to-image control points", "(1.5, 1.5)"),
     "colmap": Format((".db",), "database of images, keypoints and matches", "(0.5, 0.5)"),
+    "rpc": Format(("_rpc.txt", ".rpb"), "the secondary's RPC corrected by a model rpc-bias", "(0, 0)"),
 }
 
 
@@ -46,7 +49,7 @@ def export(
     ----------
     registration : the result, or its JSON file
     path : file to write, replaced if it exists; it appears whole or not at all
-    to : "csv", "parquet", "gdal" (suffix .vrt, .tif or .txt), "qgis", "envi" or "colmap"
+    to : "csv", "parquet", "gdal" (suffix .vrt, .tif or .txt), "qgis", "envi", "colmap" or "rpc"
     stage : "inliers", the name of a filter, or "all"
     reference, secondary : the images' files, where they are no longer where the result says
 
@@ -66,13 +69,15 @@ def export(
     if to not in FORMATS:
         raise ParameterError(f"unknown format '{to}', {suggest(to, FORMATS)}")
     suffixes = FORMATS[to].suffixes
-    if path.suffix.lower() not in suffixes:
+    if not path.name.lower().endswith(suffixes):
         raise ParameterError(f"{path}: the format '{to}' needs a name that ends in {' or '.join(suffixes)}")
-    source = registration if isinstance(registration, str | Path) else None
+    inputs: list[str | Path] = []
     if isinstance(registration, str | Path):
+        inputs = [registration, tie_point_file(Path(registration))]
         registration = Registration.from_json(registration)
     content = content_of(registration, stage, reference, secondary)
-    with replacing(path, inputs=[source, content.reference.path, content.secondary.path]) as temporary:
+    inputs += [*inputs_of(registration), content.reference.path, content.secondary.path]
+    with replacing(path, inputs=inputs) as temporary:
         import_module(f"featreg.exports.{to}").write(content, temporary)
         if not temporary.is_file():
             raise InputError(f"{path}: nothing was written")

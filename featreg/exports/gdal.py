@@ -27,7 +27,7 @@ def write(content: Content, path: Path) -> None:
         The secondary's file is not at hand (``.vrt`` and ``.tif`` need it).
     """
     pixel, line = (content.matches.secondary_xy + PIXEL_OFFSETS["gdal"]).T
-    ground = ground_of(content.reference, content.matches.reference_xy)
+    ground = ground_of(content.reference, content.matches.reference_xy, content.model)
     xyz: FloatArray
     if ground is None:
         flat = (content.matches.reference_xy + PIXEL_OFFSETS["gdal"]) * (1, -1)

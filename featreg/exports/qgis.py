@@ -1,7 +1,8 @@
 """QGIS georeferencer points (``.points``): the source image is the secondary, the map is that of the reference.
 
-Source coordinates have the first pixel's centre at (0.5, -0.5): rows count upwards from the top edge. Where nothing
-says where the reference lies the map is the reference's own pixels in the same convention, and no CRS is named.
+Source coordinates have the first pixel's centre at (0.5, -0.5): rows count upwards from the top edge. Of a secondary
+with a geotransform they are its map coordinates, as QGIS (3.26) has it. Where nothing says where the reference lies the
+map is the reference's own pixels in the same convention, and no CRS is named.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from featreg.exports.content import Content, ground_of
+from featreg.exports.content import Content, ground_of, on_map
 from featreg.tie_points import PIXEL_OFFSETS
 
 HEADER = "mapX,mapY,sourceX,sourceY,enable,dX,dY,residual"
@@ -19,8 +20,12 @@ HEADER = "mapX,mapY,sourceX,sourceY,enable,dX,dY,residual"
 def write(content: Content, path: Path) -> None:
     """Write all points enabled, with their residuals in pixels."""
     half = PIXEL_OFFSETS["qgis"]
-    source = (content.matches.secondary_xy + half) * (1, -1)
-    ground = ground_of(content.reference, content.matches.reference_xy)
+    where = content.secondary.geolocation
+    if where is not None and where.transform is not None:
+        source = on_map(where.transform, content.matches.secondary_xy)
+    else:
+        source = (content.matches.secondary_xy + half) * (1, -1)
+    ground = ground_of(content.reference, content.matches.reference_xy, content.model)
     place = (content.matches.reference_xy + half) * (1, -1) if ground is None else ground.xyz[:, :2]
     offset = np.nan_to_num(content.offset)
     lines = [HEADER]

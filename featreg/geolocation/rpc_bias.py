@@ -7,7 +7,7 @@ from abc import ABCMeta
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal, NoReturn, Self
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from featreg.geolocation.rpc import RpcSensor
 from featreg.geolocation.sensor import Sensor
 from featreg.geolocation.sensors import sensor_from_dict
 from featreg.geolocation.transfer import Transfer
-from featreg.geometry.base import GeometricModel, coefficient_array
+from featreg.geometry.base import DerivedModel, coefficient_array
 from featreg.geometry.corrected import CorrectedModel
 from featreg.geometry.matrix import Affine, Translation
 from featreg.interfaces import FailedFit, Model
@@ -206,24 +206,10 @@ class RpcBias(CorrectedModel, metaclass=_Bindable):
 
 
 @dataclass(frozen=True, eq=False)
-class InverseRpcBias(GeometricModel):
+class InverseRpcBias(DerivedModel):
     """Secondary -> reference of an `RpcBias`: the bias taken off, then the sensors' transfer back."""
 
     forward: RpcBias
-    minimum: ClassVar[int] = 0
-
-    @classmethod
-    def from_estimate(
-        cls, reference_xy: FloatArray, secondary_xy: FloatArray, weights: FloatArray | None = None
-    ) -> NoReturn:
-        """Refuse: fit the forward model and take its inverse.
-
-        Raises
-        ------
-        InputError
-            Always.
-        """
-        raise InputError("an InverseRpcBias is not fitted: fit the forward model and take its .inverse")
 
     def __call__(self, xy: FloatArray) -> FloatArray:
         return self.forward.transfer.inverse(self.forward.correction.inverse(xy))

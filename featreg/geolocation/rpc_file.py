@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
-import uuid
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from featreg.errors import InputError, ParameterError
+from featreg.errors import ParameterError
+from featreg.writers import replacing
 
 #: rasterio's name -> name in .RPB, unit in _RPC.TXT.
 FIELDS: Mapping[str, tuple[str, str]] = {
@@ -58,14 +57,8 @@ def write_rpc(path: str | Path, rpcs: Mapping[str, Any]) -> None:
         text = as_rpb(rpcs)
     else:
         raise ParameterError(f"{path}: an RPC file is called NAME_RPC.TXT or NAME.RPB")
-    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
-    try:
+    with replacing(path) as temporary:
         temporary.write_text(text, encoding="ascii")
-        os.replace(temporary, path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}); give a name in a writable folder") from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def as_txt(rpcs: Mapping[str, Any]) -> str:

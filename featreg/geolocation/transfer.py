@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, NoReturn
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from featreg.errors import InputError
 from featreg.geolocation.heights import ConstantHeight, Heights
 from featreg.geolocation.sensor import Sensor
-from featreg.geometry.base import GeometricModel
+from featreg.geometry.base import DerivedModel
 from featreg.types import FloatArray
 
 #: Heights count as found to this many metres.
@@ -24,7 +23,7 @@ LOWEST, HIGHEST = -1000.0, 9500.0
 
 
 @dataclass(frozen=True, eq=False)
-class Transfer(GeometricModel):
+class Transfer(DerivedModel):
     """Reference pixels -> secondary pixels by both sensors' geometry and the heights of the ground.
 
     Parameters
@@ -49,20 +48,7 @@ class Transfer(GeometricModel):
     reference: Sensor
     secondary: Sensor
     heights: Heights
-    minimum: ClassVar[int] = 0
-
-    @classmethod
-    def from_estimate(
-        cls, reference_xy: FloatArray, secondary_xy: FloatArray, weights: FloatArray | None = None
-    ) -> NoReturn:
-        """Refuse: a transfer is known from the sensors; fit an `RpcBias` on top of it.
-
-        Raises
-        ------
-        InputError
-            Always.
-        """
-        raise InputError("a Transfer is not fitted: the sensors give it; fit an RpcBias on top of it")
+    instead: ClassVar[str] = "the sensors give it; fit an RpcBias on top of it"
 
     def __call__(self, xy: FloatArray) -> FloatArray:
         p = np.asarray(xy, np.float64)

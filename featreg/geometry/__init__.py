@@ -22,6 +22,7 @@ from featreg.geometry.uncertainty import (
     RigidUncertainty,
     inverse_variances,
     prediction_covariance,
+    refitted_covariance,
     regional_covariance,
     rigid_uncertainty,
 )
@@ -49,6 +50,7 @@ __all__ = [
     "model_from_matrix",
     "model_to_dict",
     "prediction_covariance",
+    "refitted_covariance",
     "regional_covariance",
     "rigid_standard_errors",
     "rigid_uncertainty",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -111,6 +111,26 @@ class GeometricModel(Model):
         """Return ``model(xy) - xy`` in pixels for one point (2,) or (N, 2); at the image centre for a rigid one."""
         at = np.asarray(xy, np.float64)
         return np.asarray(self(at.reshape(-1, 2)).reshape(at.shape) - at)
+
+
+class DerivedModel(GeometricModel):
+    """A model that follows from others and is never fitted by itself; `instead` says what to do."""
+
+    minimum: ClassVar[int] = 0
+    instead: ClassVar[str] = "fit the forward model and take its .inverse"
+
+    @classmethod
+    def from_estimate(
+        cls, reference_xy: FloatArray, secondary_xy: FloatArray, weights: FloatArray | None = None
+    ) -> NoReturn:
+        """Refuse.
+
+        Raises
+        ------
+        InputError
+            Always.
+        """
+        raise InputError(f"{cls.__name__} is not fitted: {cls.instead}")
 
 
 class MatrixModel(GeometricModel):

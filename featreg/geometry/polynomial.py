@@ -6,12 +6,12 @@ import math
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, NoReturn, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from featreg.errors import InputError
-from featreg.geometry.base import GeometricModel, coefficient_array, decompose, normalise
+from featreg.geometry.base import DerivedModel, GeometricModel, coefficient_array, decompose, normalise
 from featreg.interfaces import FailedFit, Model
 from featreg.registry import register
 from featreg.types import FloatArray
@@ -173,28 +173,14 @@ class Polynomial3(Polynomial):
 
 
 @dataclass(frozen=True, eq=False)
-class InverseModel(GeometricModel):
+class InverseModel(DerivedModel):
     """Secondary -> reference of a polynomial, by Newton's iteration from its linear part.
 
     Points that the forward model does not reach, or where the iteration does not converge, are NaN.
-    The inverse of this model is the forward one. It cannot be fitted by itself.
+    The inverse of this model is the forward one.
     """
 
     forward: Polynomial
-    minimum: ClassVar[int] = 0
-
-    @classmethod
-    def from_estimate(
-        cls, reference_xy: FloatArray, secondary_xy: FloatArray, weights: FloatArray | None = None
-    ) -> NoReturn:
-        """Refuse: fit the forward model and take its inverse.
-
-        Raises
-        ------
-        InputError
-            Always.
-        """
-        raise InputError("an InverseModel is not fitted: fit the forward model and take its .inverse")
 
     def __call__(self, xy: FloatArray) -> FloatArray:
         wanted = np.asarray(xy, np.float64)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, NoReturn, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from featreg.errors import InputError
-from featreg.geometry.base import GeometricModel, coefficient_array, normalise
+from featreg.geometry.base import DerivedModel, GeometricModel, coefficient_array, normalise
 from featreg.geometry.matrix import Affine
 from featreg.interfaces import FailedFit, Model
 from featreg.registry import register
@@ -131,24 +131,10 @@ class ResidualField(GeometricModel):
 
 
 @dataclass(frozen=True, eq=False)
-class InverseField(GeometricModel):
+class InverseField(DerivedModel):
     """Secondary -> reference of a residual field, by fixed-point iteration; NaN where it does not settle."""
 
     forward: ResidualField
-    minimum: ClassVar[int] = 0
-
-    @classmethod
-    def from_estimate(
-        cls, reference_xy: FloatArray, secondary_xy: FloatArray, weights: FloatArray | None = None
-    ) -> NoReturn:
-        """Refuse: fit the forward model and take its inverse.
-
-        Raises
-        ------
-        InputError
-            Always.
-        """
-        raise InputError("an InverseField is not fitted: fit the forward model and take its .inverse")
 
     def __call__(self, xy: FloatArray) -> FloatArray:
         p = np.asarray(xy, np.float64)

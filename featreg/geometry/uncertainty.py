@@ -19,6 +19,8 @@ from featreg.types import FloatArray, IntArray
 
 #: No tie point is known better than this, px.
 FINEST_PX = 0.05
+#: Parts of the points of which one after the other is left out of a fit.
+GROUPS = 16
 
 
 @dataclass(frozen=True)
@@ -131,7 +133,12 @@ def prediction_covariance(
     dof = 2 * m - count
     if dof < 1:
         return FailedFit(f"{m} points leave no degree of freedom beside {count} parameters")
-    variance = float(n.weights @ model.residuals(reference, secondary) ** 2) / dof if sigma is None else sigma**2
+    if sigma is None:
+        variance = float(n.weights @ model.residuals(reference, secondary) ** 2) / dof
+    else:
+        # Of weight 1 as it was given; the normalised weights have mean 1.
+        given = 1.0 if weights is None else float(np.mean(np.asarray(weights, np.float64)[np.asarray(weights) > 0]))
+        variance = sigma**2 / given
     rows = (design * np.sqrt(n.weights)[:, None, None]).reshape(2 * m, count)
     triangle: FloatArray = np.asarray(np.linalg.qr(rows, mode="r"))
     diagonal = np.abs(np.diag(triangle))
@@ -213,6 +220,40 @@ def regional_covariance(
     departure = np.einsum("nap,kp->nak", there, step - step.mean(axis=0))
     share = (len(numbers) - 1) / len(numbers)
     return np.asarray(share * departure @ departure.transpose(0, 2, 1))
+
+
+def refitted_covariance(
+    model: Model, reference_xy: FloatArray, secondary_xy: FloatArray, *, at: ArrayLike
+) -> FloatArray | FailedFit:
+    """Return the covariance of where a model maps points, by fitting it anew without every sixteenth of its points.
+
+    For models whose derivatives are not known; what they map where there are no tie points is not judged by it.
+
+    Parameters
+    ----------
+    model : fitted to these points
+    reference_xy, secondary_xy : (M, 2) float64 px
+    at : (N, 2) reference points
+
+    Returns
+    -------
+    (N, 2, 2) float64 px^2, or a `FailedFit` where a model cannot be fitted to fifteen sixteenths of the points
+
+    Notes
+    -----
+    The delete-a-group jackknife of `regional_covariance`, with groups that lie all over the image; errors of the points
+    are taken as independent.
+    """
+    points = np.asarray(at, np.float64)
+    group = np.arange(len(reference_xy)) % GROUPS
+    mapped: list[FloatArray] = []
+    for left in range(GROUPS):
+        part = type(model).from_estimate(reference_xy[group != left], secondary_xy[group != left])
+        if isinstance(part, FailedFit):
+            return part
+        mapped.append(part(points))
+    departure = np.stack(mapped, axis=-1) - np.mean(mapped, axis=0)[:, :, None]
+    return np.asarray((GROUPS - 1) / GROUPS * departure @ departure.transpose(0, 2, 1))
 
 
 def inverse_variances(covariance: FloatArray | None) -> FloatArray | None:

@@ -163,8 +163,11 @@ async function mark(side, xy) {
   expected = null;
   show();
   say(`Now the same place in the ${ROLES[1 - side]}.`);
-  expected = await predict(side, xy);
-  if (expected && pending) {
+  const place = await predict(side, xy);
+  // The point may have got its other side meanwhile, or have been dropped.
+  if (pending?.xy !== xy) return;
+  expected = place;
+  if (expected) {
     const other = views[1 - side], [u, v] = screen(1 - side, expected), canvas = canvases[1 - side];
     if (u < 0 || v < 0 || u > canvas.clientWidth || v > canvas.clientHeight) [other.x, other.y] = expected;
     say(`Now the same place in the ${ROLES[1 - side]}: it is expected at the dashed cross.`);

@@ -115,12 +115,12 @@ function scatterChart() {
     const [[xs, xlog], [ys, ylog]] = [range(state.x), range(state.y)];
     const { x, y } = axes(root, { xs, ys, xlog, ylog, xtitle: titleOf(cx) + (xlog ? ", log" : ""), ytitle: titleOf(cy) + (ylog ? ", log" : "") });
     for (const row of rows)
-      root.append(marker(kindOf(row.method), x(row[state.x]), y(row[state.y]), { "fill-opacity": row.status === "ok" ? 0.75 : 0 },)
+      root.append(marker(kindOf(row.method), x(row[state.x]), y(row[state.y]), row.status === "ok" ? { "fill-opacity": 0.75 } : { "fill-opacity": 0, "stroke-opacity": 0.55 })
         .appendChild(shape("title", {}, `${row.method}, ${row.pair}: ${titleOf(cx)} ${number(row[state.x])}, ${titleOf(cy)} ${number(row[state.y])}, ${row.status ?? ""}`)).parentNode);
     holder.replaceChildren(root);
   };
   draw();
-  return figure("Accuracy and time", "one mark for each run; hollow where the result is not trusted",
+  return figure("Accuracy and time", "one mark for each run; hollow and faint where the result is not trusted",
     el("div", { class: "controls" },
       dropdown("across", options, state.x, (v) => { state.x = v; draw(); }),
       dropdown("up", options, state.y, (v) => { state.y = v; draw(); })),
@@ -163,7 +163,7 @@ function intervalChart() {
 }
 
 const spreadText = ([mean, low, high]) =>
-  mean === null || mean === undefined ? "–" : low === null || low === undefined ? number(mean) : `${number(mean)} [${number(low)}, ${number(high)}]`;
+  mean === null || mean === undefined ? "–" : low === null || low === undefined ? number(mean, null, 3) : `${number(mean, null, 3)} [${number(low, null, 3)}, ${number(high, null, 3)}]`;
 
 /** Where the time goes: mean seconds of each stage. */
 function timeChart() {

@@ -24,14 +24,14 @@ let made = 0;
 /** An id that no other element has. */
 const fresh = (stem) => `${stem}-${++made}`;
 
-/** A number as text: fixed digits where they are given, else three that count. */
-function number(value, digits = null) {
+/** A number as text: fixed digits where they are given, else `count` that count, whole ones all. */
+function number(value, digits = null, count = 4) {
   if (value === null || value === undefined || Number.isNaN(value)) return "–";
   if (typeof value !== "number") return String(value);
   if (digits !== null) return value.toFixed(digits);
   if (Number.isInteger(value)) return String(value);
   const size = Math.abs(value);
-  return size >= 1e5 || (size > 0 && size < 1e-3) ? value.toExponential(2) : String(Number(value.toPrecision(4)));
+  return size >= 1e5 || (size > 0 && size < 1e-3) ? value.toExponential(2) : String(Number(value.toPrecision(Math.max(count, Math.ceil(Math.log10(size))))));
 }
 
 const STATUS = { ok: ["✓", "ok"], unreliable: ["!", "unreliable"], failed: ["✕", "failed"] };

@@ -28,7 +28,7 @@ function summaryTable() {
       const [mean, low, high] = table.intervals[row.method][column.name] ?? [null, null, null];
       if (mean === null) return "–";
       const text = number(mean, column.digits === null ? null : Math.min(3, column.digits || 1));
-      return low === null ? text : el("span", {}, text, el("span", { class: "interval" }, ` [${number(low)}, ${number(high)}]`));
+      return low === null ? text : el("span", {}, text, el("span", { class: "interval" }, ` [${number(low, null, 3)}, ${number(high, null, 3)}]`));
     },
   });
 }
@@ -117,8 +117,8 @@ function start() {
   const tables = [summaryTable(), differenceTable(), runsTable()].filter(Boolean);
   const charts = [intervalChart(), timeChart(), curveChart(), scatterChart(), heatMap()].filter(Boolean);
   const sections = [
-    tables.length ? section("results", "Results", el("p", { class: "note" }, "★ marks the best of its column, among the methods on the same pair; headings sort. Why a result is not trusted stands whole under Failures and refusals."), ...tables) : null,
-    charts.length ? section("charts", "Charts", el("div", { class: "cards" }, ...charts)) : null,
+    tables.length ? section("results", "Results", el("p", { class: "note" }, "★ marks the best of its column, among the methods on the same pair; – stands for a mean that would leave out pairs the method gave up; headings sort. Why a result is not trusted stands whole under Failures and refusals."), ...tables) : null,
+    charts.length ? section("charts", "Charts", el("div", { class: "cards charts" }, ...charts)) : null,
     viewer?.section() ?? el("p", { class: "notice" }, "The study holds no results."),
     troubles(),
     footnotes(),

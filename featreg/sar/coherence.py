@@ -91,8 +91,9 @@ def coherence(
 
 def window_size(window: int | tuple[int, int]) -> tuple[int, int]:
     """Return (rows, columns) of a window; a `ParameterError` where it is no window of `coherence`."""
-    rows, cols = (window, window) if isinstance(window, int) else window
-    if any(not isinstance(n, int | np.integer) or n < 1 or n % 2 == 0 for n in (rows, cols)) or rows * cols < 2:
+    sides = window if isinstance(window, tuple) and len(window) == 2 else (window, window)
+    rows, cols = (n if isinstance(n, int | np.integer) else 0 for n in sides)
+    if rows < 1 or cols < 1 or rows % 2 == 0 or cols % 2 == 0 or rows * cols < 2:
         raise ParameterError(f"window must be an odd number of pixels or two (rows, columns), not 1 x 1, got {window}")
     return rows, cols
 

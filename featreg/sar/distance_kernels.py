@@ -48,7 +48,7 @@ def _first(row: I32, value: np.int32) -> int:
 
 
 @compiled
-def _holds(part: I32, value: np.int32) -> bool:
+def _holds(part: I32, value: np.int32) -> np.bool:
     count = np.int32(0)
     for d in part:
         count += np.int32(max(d, np.int32(0)) == value)

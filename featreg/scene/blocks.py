@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from featreg.errors import ParameterError
-from featreg.raster_source import Window
+from featreg.interfaces import Matcher
+from featreg.refine import Refine
+from featreg.window import Window
 
 #: Side of a block in pixels, as in the SAR-ORB paper (section 2.2).
 BLOCK = 600
 #: Smallest side: below it the halo is most of what is read.
 SMALLEST = 128
-#: Pixels read beyond a block on each side, so that points at its rim are described whole: the support of the coarsest
-#: level of the default method.
-HALO = 40
+#: The halo is a multiple of this, so that the levels of a pyramid begin alike.
+WHOLE = 8
 
 
 @dataclass(frozen=True)
@@ -28,10 +30,13 @@ class Block:
     col: int
     window: Window
 
-    @property
-    def outer(self) -> Window:
-        """What is read for it."""
-        return self.window.grown(HALO)
+
+def halo_of(matcher: Matcher, refine: Refine | None) -> int:
+    """Pixels read beyond a block on each side, so that points at its rim are described and measured whole."""
+    reach = max(float(matcher.reach), 0.0 if refine is None else refine.reach)
+    if not math.isfinite(reach) or reach < 0:
+        raise ParameterError(f"{type(matcher).__name__}.reach must be a number of pixels >= 0, got {matcher.reach!r}")
+    return WHOLE * math.ceil(reach / WHOLE)
 
 
 def plan_blocks(area: Window, size: int = BLOCK) -> tuple[Block, ...]:

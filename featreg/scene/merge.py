@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from featreg.errors import InputError
-from featreg.geometry import prediction_covariance
+from featreg.geometry import prediction_covariance, refitted_covariance
 from featreg.interfaces import FailedFit, Model
 from featreg.refine import ROUNDS, Refined
 from featreg.robust import irls
@@ -21,6 +21,9 @@ from featreg.types import BoolArray, FloatArray, Gate, IntArray, Matches
 
 #: Refined tie points farther than this from the first model are wrong, px.
 FAR_PX = 6.0
+#: Tie points of a block that can speak for it, and how near to each other, in px, the displacements of half of them lie
+#: where they were not measured by correlation.
+WITNESSES, COHERENT_PX = 8, 2.0
 #: Fewest blocks of which every second one is left out of a fit; of fewer, every second tie point is.
 LEAST_FOR_CHESS = 4
 
@@ -155,6 +158,9 @@ def block_gates(
     here, there = merged.matches.reference_xy[kept], merged.matches.secondary_xy[kept]
     off = float(np.median(np.hypot(*(prior(here) - there).T))) if len(here) else None
     most = 0.6 * prior.uncertainty_px
+    errors = block_errors(merged, model, len(blocks))
+    known = errors[np.isfinite(errors)]
+    local = float(np.percentile(known, 95, method="higher")) if len(known) else None
     return {
         "search": Gate(
             off, off is not None and off <= most, high=most,
@@ -163,6 +169,10 @@ def block_gates(
         "blocks": Gate(
             share, share >= limits.block_share, low=limits.block_share,
             meaning="share of the blocks with content that hold a final tie point",
+        ),
+        "block_error": Gate(
+            local, local is not None and local <= limits.block_error_px, high=limits.block_error_px,
+            meaning="median distance of a block's own tie points from the model, exceeded by a twentieth of the blocks, px",
         ),
         "held_out_rmse": Gate(
             error, error is not None and error <= limits.held_out_rmse_px, high=limits.held_out_rmse_px,
@@ -198,24 +208,48 @@ def held_out_rmse(
     return float(np.sqrt(np.mean(np.concatenate(squares))))
 
 
+def block_errors(merged: Merged, model: Model, count: int) -> FloatArray:
+    """(count,) median distance in pixels of each block's own tie points from the model; NaN of blocks with too few.
+
+    Those that the model's fit left out count as well, however far they lie: they were measured without that model.
+    Where no block was refined, those that the local filters kept speak, if over half of them move alike.
+    """
+    refined = bool(len(merged.refined))
+    kept = np.ones(len(merged.matches), np.bool_)
+    for mask in merged.stages.values():
+        kept = kept & mask
+    points = merged.refined if refined else merged.matches.take(np.flatnonzero(kept))
+    owners = merged.refined_blocks if refined else merged.blocks[kept]
+    away = points.secondary_xy - model(points.reference_xy)
+    errors = np.full(count, np.nan)
+    for block in np.unique(owners).tolist():
+        mine = away[owners == block]
+        mine = mine[np.isfinite(mine).all(axis=1)]
+        if len(mine) < WITNESSES:
+            continue
+        alike = np.hypot(*(mine - np.median(mine, axis=0)).T) <= COHERENT_PX
+        if refined or alike.mean() > 0.5:
+            errors[block] = np.median(np.hypot(*mine.T))
+    return errors
+
+
 def accuracy(
-    model: Model | FailedFit, matches: Matches, gates: Mapping[str, Gate], shape: tuple[int, int]
+    model: Model | FailedFit, matches: Matches, errors: FloatArray, gates: Mapping[str, Gate], shape: tuple[int, int]
 ) -> dict[str, Any]:
     """The accuracy report of a scene: residuals, held-out error, standard error and covariance, and the verdict.
 
-    `matches` are the final tie points.
+    `matches` are the final tie points, `errors` those of `block_errors`.
     """
     if isinstance(model, FailedFit) or not len(matches):
         return {"passed": False}
     residuals = model.residuals(matches.reference_xy, matches.secondary_xy)
     centre = np.array([(shape[1] - 1) / 2, (shape[0] - 1) / 2])
     corners = np.array([[0, 0], [shape[1] - 1, 0], [0, shape[0] - 1], [shape[1] - 1, shape[0] - 1]], np.float64)
+    at = np.concatenate([centre[None], corners])
     try:
-        known = prediction_covariance(
-            model, matches.reference_xy, matches.secondary_xy, at=np.concatenate([centre[None], corners])
-        )
+        known = prediction_covariance(model, matches.reference_xy, matches.secondary_xy, at=at)
     except InputError:
-        known = FailedFit("the derivatives of this model are not known")
+        known = refitted_covariance(model, matches.reference_xy, matches.secondary_xy, at=at)
     report: dict[str, Any] = {
         "tie_points": len(matches),
         "rmse_px": float(np.sqrt(np.mean(residuals**2))),
@@ -225,6 +259,16 @@ def accuracy(
     if not isinstance(known, FailedFit):
         report["covariance_centre_px2"] = known[0].tolist()
         report["standard_error_corners_px"] = np.sqrt(np.trace(known[1:], axis1=1, axis2=2)).tolist()
+    known_blocks = errors[np.isfinite(errors)]
+    if len(known_blocks):
+        worst = int(np.nanargmax(errors))
+        report["blocks_px"] = {
+            "median": float(np.median(known_blocks)),
+            "percentile95": float(np.percentile(known_blocks, 95, method="higher")),
+            "worst": float(errors[worst]),
+            "worst_block": worst,
+            "known": len(known_blocks),
+        }
     report["limits"] = {
         name: {"value": gate.value, "low": gate.low, "high": gate.high, "passed": gate.passed}
         for name, gate in gates.items()

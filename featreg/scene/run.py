@@ -21,10 +21,10 @@ from featreg.pipeline import Gathered, Pipeline
 from featreg.presets import PRESETS
 from featreg.provenance import versions
 from featreg.raster_source import ImageSource, Source
-from featreg.scene.blocks import Block, plan_blocks, spread_out
+from featreg.scene.blocks import Block, halo_of, plan_blocks, spread_out
 from featreg.scene.execution import Canceller, Lane, open_lane
 from featreg.scene.first_prior import first_prior
-from featreg.scene.merge import Merged, accuracy, block_gates, concatenated, fit_refined, merge
+from featreg.scene.merge import Merged, accuracy, block_errors, block_gates, concatenated, fit_refined, merge
 from featreg.scene.prior import Prior, corrected
 from featreg.scene.record import block_table, inputs_of_sources, seconds_of, with_final
 from featreg.scene.state import BlockFiles, digest_of
@@ -137,7 +137,7 @@ def match_scene(
                 results, counts = _all_blocks(job, prior, blocks, lane, options, pipeline, (reference, secondary))
         # The workers are gone, and the columns of the blocks go once they are put together: what is left to do needs
         # the memory more.
-        record = {**counts, "size": options.block}, block_table(blocks, results), seconds_of(results)
+        record = {**counts, "size": options.block, "halo": job.halo}, block_table(blocks, results), seconds_of(results)
         merged = merge(results, ["prior", *(name for name, _ in job.filters)])
         results.clear()
         return _finished(
@@ -182,7 +182,7 @@ def _job(
     local = tuple((name, keeper) for name, keeper in pipeline.filters if keeper.local)
     return Job(
         reference, secondary, matcher, local, pipeline.model, pipeline.refine, seed,
-        max(1, pipeline.n_features // count), lane.own_process,
+        max(1, pipeline.n_features // count), halo_of(matcher, pipeline.refine), lane.own_process,
     )  # fmt: skip
 
 
@@ -258,6 +258,7 @@ def _ingredients(
         "model": None if model is None else [model[0].parameters, model[1]],
         "seed": job.seed,
         "most": job.most,
+        "halo": job.halo,
         "prior": [prior.record(), base.parameters if isinstance(base, Transfer | Model) else repr(base)],
         "heights": options.heights().to_dict(),
         "blocks": [[b.index, b.window.x, b.window.y, b.window.width, b.window.height] for b in blocks],
@@ -304,6 +305,7 @@ def _finished(
     )  # fmt: skip
     everyone = np.concatenate(owners)[: len(result.matches)]
     final = result.matches.take(result.inliers)
+    errors = block_errors(merged, result.model, len(blocks)) if result.model else np.zeros(0)
     return replace(
         result,
         timings=dict(timings),
@@ -315,7 +317,7 @@ def _finished(
             "tie_point_blocks": everyone,
             "prior": prior.record(),
             "heights": options.heights().to_dict(),
-            "accuracy": accuracy(result.model, final, result.gates, reference.shape),
+            "accuracy": accuracy(result.model, final, errors, result.gates, reference.shape),
             "block_seconds": seconds,
         },
     )

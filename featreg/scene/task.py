@@ -48,6 +48,7 @@ class Job:
     refine : the refinement, or None
     seed : of everything random
     most : most tie points of a block
+    halo : pixels read beyond a block on each side
     own_process : whether the work is done in a process of its own, whose library threads are ours to set
     """
 
@@ -59,6 +60,7 @@ class Job:
     refine: Refine | None
     seed: int
     most: int
+    halo: int
     own_process: bool = False
 
 
@@ -107,7 +109,7 @@ def run_block(job: Job, prior: Prior, block: Block) -> BlockResult:
 
 
 def _matched(job: Job, prior: Prior, block: Block) -> BlockResult:
-    here = block.outer
+    here = block.window.grown(job.halo)
     there = search_window(prior, here, job.secondary.shape)
     if there is None:
         return BlockResult(block.index, "skipped", "outside the secondary")

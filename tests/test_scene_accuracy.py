@@ -1,0 +1,186 @@
+"""What a scene's result says of itself: points at the rims of blocks are seen whole, and wrong models are found out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import featreg
+from featreg.assembly import assemble
+from featreg.errors import ParameterError
+from featreg.feature_matcher import FeatureMatcher
+from featreg.geometry import Affine, Translation, prediction_covariance, refitted_covariance
+from featreg.interfaces import REACH, Matcher
+from featreg.io import as_image
+from featreg.refine import Refine
+from featreg.scene.blocks import halo_of
+from featreg.scene.merge import Merged, block_errors
+from featreg.simulate_scene import simulate_scene
+from featreg.types import Image, Matches, Registration
+
+BLOCK: dict[str, Any] = {"block": 200, "workers": 1}
+
+
+class Blind(Matcher):
+    """Finds nothing, and does not say how far it looks."""
+
+    def match(self, reference: Image, secondary: Image) -> Matches:
+        return Matches.empty()
+
+
+def _matcher(method: str) -> Matcher:
+    matcher = assemble(method).matcher
+    assert matcher is not None
+    return matcher
+
+
+# ---------------------------------------------------------------- halo
+
+
+METHODS = ["sar-orb", "sar-orb-paper", "sar-sift", "s-gof", "m-gof", "bfsift", "rift"]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_halo_holds_the_support_of_every_keypoint(method: str, sar_texture: Any) -> None:
+    """Detectors leave out what lies too near to the border: with the halo, nothing of a block is left out."""
+    pipeline = assemble(method)
+    matcher = pipeline.matcher
+    assert isinstance(matcher, FeatureMatcher)
+    assert matcher.descriptor is not None
+    halo = halo_of(matcher, pipeline.refine)
+    image = as_image(sar_texture(400, 420, seed=5))
+    found = matcher.detector.detect_features(image)
+    assert found.scale.max() <= matcher.detector.reach <= halo
+    described = matcher.descriptor.describe_features(image, found)
+    lost = np.setdiff1d(np.arange(len(found)), np.arange(len(found)) if described.index is None else described.index)
+    room = np.minimum(found.xy, np.array(image.shape[::-1]) - 1 - found.xy).min(axis=1)
+    assert not (room[lost] > halo).any()
+
+
+def test_the_halo_grows_with_the_support_and_is_wide_where_none_is_stated() -> None:
+    assert halo_of(_matcher("sar-orb"), None) == 40
+    assert halo_of(_matcher("sar-orb-paper"), None) > 64
+    assert halo_of(Blind(), None) == REACH
+    assert halo_of(_matcher("sar-orb"), Refine(half=60)) >= 60
+
+
+def test_a_reach_that_is_no_distance_is_refused() -> None:
+    class Endless(Blind):
+        @property
+        def reach(self) -> float:
+            return float("nan")
+
+    with pytest.raises(ParameterError, match=r"Endless\.reach"):
+        halo_of(Endless(), None)
+
+
+def test_a_wider_halo_is_read(located_pair: Any) -> None:
+    """A point at the rim of a block sees as much of its surroundings as the method asks for."""
+    seen: list[tuple[int, int]] = []
+
+    class Watching(Blind):
+        reach = 150.0
+
+        def match(self, reference: Image, secondary: Image) -> Matches:
+            seen.append(reference.shape)
+            return Matches.empty()
+
+    featreg.match(located_pair.reference, located_pair.secondary, method=Watching(), refine=False, **BLOCK)
+    assert max(max(shape) for shape in seen) >= 200 * 2 / 3 + 2 * 150
+
+
+# ---------------------------------------------------------------- what the model is worth
+
+
+def _bent(height_px: float) -> Merged:
+    """Tie points of 5 x 5 blocks of 100 px, exact but for the block in the middle, which is off by so many pixels."""
+    rng = np.random.default_rng(0)
+    blocks = np.repeat(np.arange(25), 40)
+    corner = np.column_stack([blocks % 5, blocks // 5]) * 100.0
+    here = corner + rng.uniform(0, 99, (1000, 2))
+    there = here + rng.normal(0, 0.05, here.shape)
+    there[blocks == 12, 0] += height_px
+    points = Matches(here, there, np.ones(1000))
+    return Merged(points, {}, blocks, points, blocks, 1000, (150, 150))
+
+
+@pytest.mark.parametrize(("off", "refined"), [(0.0, True), (3.0, True), (40.0, True), (40.0, False)])
+def test_a_block_that_the_model_does_not_follow_is_known(off: float, refined: bool) -> None:
+    merged = _bent(off)
+    if not refined:
+        merged = replace(merged, refined=Matches.empty(), refined_blocks=np.zeros(0, np.int64))
+    errors = block_errors(merged, Translation(0.0, 0.0), 26)
+    assert errors[12] == pytest.approx(max(off, 0.06), abs=0.05)
+    assert np.delete(errors, [12, 25]).max() < 0.1
+    assert np.isnan(errors[25])
+
+
+def test_blocks_whose_unrefined_points_do_not_agree_say_nothing() -> None:
+    merged = _bent(0.0)
+    there = merged.matches.secondary_xy.copy()
+    there[merged.blocks == 3] += np.random.default_rng(1).uniform(-30, 30, (40, 2))
+    merged = replace(
+        merged,
+        matches=replace(merged.matches, secondary_xy=there),
+        refined=Matches.empty(),
+        refined_blocks=np.zeros(0, np.int64),
+    )
+    assert np.flatnonzero(np.isnan(block_errors(merged, Translation(0.0, 0.0), 25))).tolist() == [3]
+
+
+@pytest.fixture(scope="module")
+def hills(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """A pair over 300 m of relief, seen under angles so different that no affine model follows it."""
+    return simulate_scene(tmp_path_factory.mktemp("hills"), (700, 800), relief=300.0, incidence_deg=(35.0, 43.0), seed=2)
+
+
+def _off(got: Registration, hills: Any) -> NDArray[np.float64]:
+    x, y = np.meshgrid(np.linspace(80, 720, 9), np.linspace(80, 620, 9))
+    inside = np.column_stack([x.ravel(), y.ravel()])
+    assert got.model
+    return np.asarray(np.hypot(*(got.model(inside) - hills.truth(inside)).T))
+
+
+def test_a_model_that_is_pixels_off_somewhere_is_unreliable(hills: Any) -> None:
+    got = featreg.match(hills.reference, hills.secondary, **BLOCK)
+    assert _off(got, hills).max() > 3
+    assert got.status == "unreliable"
+    assert "block_error" in got.reason
+    # What it says of the worst block is about what is true.
+    assert got.provenance["accuracy"]["blocks_px"]["worst"] > 0.5 * np.percentile(_off(got, hills), 95)
+
+
+@pytest.mark.parametrize("model", ["rpc-bias", "residual-field"])
+def test_a_model_that_follows_the_relief_is_trusted(model: str, hills: Any) -> None:
+    more = {"dem": hills.dem} if model == "rpc-bias" else {}
+    got = featreg.match(hills.reference, hills.secondary, **BLOCK, model=model, **more)
+    assert got.status == "ok", got.reason
+    report = got.provenance["accuracy"]
+    assert report["blocks_px"]["worst"] < 1
+    assert 0 < max(report["standard_error_corners_px"])
+    assert np.sqrt(np.mean(_off(got, hills) ** 2)) < (0.1 if model == "rpc-bias" else 1.0)
+    # Its derivatives are not known: nothing is said of what leaving out a region would do, rather than 0.
+    assert ("stability" in got.gates) == (model == "rpc-bias")
+    uncertainty = got.gates["uncertainty"].value
+    assert uncertainty is not None
+    assert uncertainty > 0
+
+
+def test_errors_of_refitted_models_are_those_of_the_derivatives() -> None:
+    rng = np.random.default_rng(0)
+    here = rng.uniform(0, 1000, (800, 2))
+    there = here + rng.normal(0, 0.5, here.shape)
+    model = Affine.from_estimate(here, there)
+    assert model
+    at = np.array([[500.0, 500.0], [0.0, 0.0], [1000.0, 0.0]])
+    known, refitted = prediction_covariance(model, here, there, at=at), refitted_covariance(model, here, there, at=at)
+    assert isinstance(known, np.ndarray)
+    assert isinstance(refitted, np.ndarray)
+    ratio = np.sqrt(np.trace(refitted, axis1=1, axis2=2) / np.trace(known, axis1=1, axis2=2))
+    # Sixteen groups tell a standard deviation to a fifth or so.
+    assert ((ratio > 0.5) & (ratio < 2.0)).all()
+    assert not refitted_covariance(model, here[:3], there[:3], at=at)
