@@ -176,12 +176,9 @@ def match(
         if plot is not None:
             from featreg.pictures import draw_registration
 
-            seen = [
-                image_to_draw(file, mask, nodata, scale)
-                for file, mask in ((reference, mask_reference), (secondary, mask_secondary))
-            ]
-            images, factors = zip(*seen, strict=True)
-            draw_registration(*images, result, plot, factors=factors)
+            here, factor = image_to_draw(reference, mask_reference, nodata, scale)
+            there, far_factor = image_to_draw(secondary, mask_secondary, nodata, scale)
+            draw_registration(here, there, result, plot, factors=(factor, far_factor))
             written.append(plot)
     typer.echo(summary(result, written))
     raise typer.Exit(0 if result.status == "ok" else 3)

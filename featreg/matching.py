@@ -107,8 +107,8 @@ def match(
     if size is not None:
         if focus is not None:
             raise ParameterError(
-                "focus works on whole images, not on blocks: focus the files first (featreg focus IN -o OUT), or ask for "
-                "the whole images at once (block=False, --whole)"
+                "focus works on whole images, not on blocks: focus the files first (featreg focus IN -o OUT), or ask "
+                "for the whole images at once (block=False, --whole)"
             )
         from featreg.scene.run import SceneOptions, assemble_scene, match_scene
 

@@ -183,8 +183,8 @@ def _groups(registration: Registration, truth: Truth | None, threshold: float) -
         rejected[matches.origin[accepted & (matches.origin >= 0)]] = False
         if "refine" in registration.stages and not (matches.origin[accepted] >= 0).any():
             # refined points of their own, as those of blocks: what the filters kept was not rejected
-            kept = [mask for name, mask in registration.stages.items() if name != "refine"]
-            rejected &= ~kept[-1] if kept else False
+            filters = [mask for name, mask in registration.stages.items() if name != "refine"]
+            rejected &= ~filters[-1] if filters else False
         return [_Group("rejected", BAD, BAD_INK, rejected), _Group("accepted", GOOD, GOOD_INK, accepted)]
     kept = list(registration.stages.values())[-1] if registration.stages else np.ones(len(matches), bool)
     error = np.hypot(*(truth(matches.reference_xy) - matches.secondary_xy).T)

@@ -149,7 +149,7 @@ _PAPER_GRID = {"tie_points": "cc", "patch": 64, "step": 32, "subpixel": False, "
 
 # The best of many alignments, and outlines that both images share, make chance look like less than it is: of 320 pairs
 # of an optical and a SAR image of different places none passed -76; of 40 true pairs 39 reach -147 and 0.43 px.
-_SEARCHED_TRUST = {"least_inliers": 40, "significance": -100.0, "uncertainty_px": 0.55}
+_SEARCHED_TRUST = {"least_inliers": 40, "significance": -100.0, "uncertainty_px": 0.55, "held_out_px": 3.0}
 
 
 def _kornia(summary: str, detector: Part, descriptor: Part | None, nearest: Part) -> Preset:
@@ -246,7 +246,7 @@ PRESETS: Mapping[str, Preset] = {
     "optical-sar": Preset(
         "RIFT's features at several ratios of the scales, for an optical and a SAR image at any rotation, FSC",
         matcher=Part("scale-search"),
-        filters=(Part("fsc"),),
+        filters=(Part("fsc", {"threshold": 4.0}),),
         refine=False,
         model="similarity",
         trust=_SEARCHED_TRUST,

@@ -25,6 +25,9 @@ logger = logging.getLogger(__name__)
 # Shorter sides than this hold too little to tell one scale from the next.
 SMALLEST = 64
 ITERATIONS = 800
+HALVED_SIDE = 256
+# Matches at a finer size are preferred where they have this share of the places.
+ENOUGH = 0.4
 # Alignments whose corners lie this near to each other, as a share of the diagonal, are one.
 NEAR = 0.15
 # A reduced pixel counts where at least this share of it, of 255, is data.
@@ -33,11 +36,12 @@ WHOLE = 254
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """Matches at one ratio of the scales, and the similarity on which so many distinct places agree."""
+    """Matches at one ratio of the scales and one size, and the similarity on which so many distinct places agree."""
 
     matches: Matches
     model: Similarity
     scale: float
+    size: float
     places: int
 
 
@@ -54,6 +58,7 @@ class ScaleSearch(Matcher):
     patch : side in pixels of what is described, for descriptors that have this parameter
     largest : ratios of the scales (secondary over reference) from 1 / `largest` to `largest` are sought
     step : largest factor between neighbouring ratios
+    halvings : so many times both images are also tried at half the size before, while the shorter side stays 256 px
     threshold : largest residual in reduced pixels of a match that counts
     rivalry : no match is returned where another alignment has more than this share of the best one's places
     seed : of the consensus
@@ -65,11 +70,12 @@ class ScaleSearch(Matcher):
 
     Notes
     -----
-    At every ratio the image that has the finer pixels is reduced to the other's, so that nothing is enlarged. A
-    similarity is fitted to the matches; where its scale is not that of the ratio tried (to within one step), its
-    consensus does not count. A final pass at the scale found, with all features, replaces the trial where it agrees
-    with it and more distinct places support it. Index maps hardly tell an image from itself turned by half a turn, so
-    that two alignments can each have a consensus on a scene of fields or streets: then none is given.
+    Speckle that drowns a structure at full size is averaged away at half of it. At every ratio the image that has the
+    finer pixels is reduced to the other's, so that nothing is enlarged. A similarity is fitted to the matches; where
+    its scale is not that of the ratio tried (to within one step), its consensus does not count. Final passes at the
+    scale found, with all features, from full size down to that of the best trial, replace it where they agree with it
+    and have support enough. Index maps hardly tell an image from itself turned by half a turn, so that two alignments
+    can each have a consensus on a scene of fields or streets: then none is given.
     """
 
     n_features: int = 5000
@@ -80,15 +86,16 @@ class ScaleSearch(Matcher):
     patch: float = 84.0
     largest: float = 2.0
     step: float = 1.3
+    halvings: int = 2
     threshold: float = 4.0
     rivalry: float = 0.6
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.n_features < 1 or self.trial_features < 1 or self.seed < 0:
+        if self.n_features < 1 or self.trial_features < 1 or min(self.seed, self.halvings) < 0:
             raise ParameterError(
-                "scale-search needs n_features >= 1, trial_features >= 1 and seed >= 0, got "
-                f"{self.n_features}, {self.trial_features} and {self.seed}"
+                "scale-search needs n_features >= 1, trial_features >= 1, halvings >= 0 and seed >= 0, got "
+                f"{self.n_features}, {self.trial_features}, {self.halvings} and {self.seed}"
             )
         if not (1 <= self.largest <= 16 and 1 < self.step <= 4 and self.threshold > 0 and 0 < self.rivalry <= 1):
             raise ParameterError(
@@ -104,7 +111,11 @@ class ScaleSearch(Matcher):
 
     def match(self, reference: Image, secondary: Image) -> Matches:
         """Return the matches at the best scale; empty where no scale has a consensus, or where two rival ones do."""
-        trials = [self._at(reference, secondary, ratio, self.trial_features) for ratio in self.ratios]
+        trials = [
+            self._at(reference, secondary, ratio, size, self.trial_features)
+            for size in self._sizes(reference, secondary)
+            for ratio in self.ratios
+        ]
         found = sorted((t for t in trials if t is not None), key=lambda t: -t.places)
         if not found:
             return Matches.empty()
@@ -113,22 +124,31 @@ class ScaleSearch(Matcher):
         if rival > self.rivalry * best.places:
             logger.info("no matches: %d places agree on one alignment, %d on quite another", best.places, rival)
             return Matches.empty()
-        final = self._at(reference, secondary, best.scale, self.n_features)
-        better = final is not None and final.places > best.places and _agree(final.model, best.model, reference)
-        return final.matches if final is not None and better else best.matches
+        # The finer the pixels, the more precise are the matches, as long as the structures are still seen in them.
+        for size in [s for s in self._sizes(reference, secondary) if s >= best.size]:
+            final = self._at(reference, secondary, best.scale, size, self.n_features)
+            least = best.places if size == best.size else ENOUGH * best.places
+            if final is not None and final.places > least and _agree(final.model, best.model, reference):
+                return final.matches
+        return best.matches
 
-    def _at(self, reference: Image, secondary: Image, ratio: float, budget: int) -> _Trial | None:
+    def _sizes(self, reference: Image, secondary: Image) -> list[float]:
+        """To what share of their size both images are reduced."""
+        shorter = min(*reference.shape, *secondary.shape)
+        return [0.5**i for i in range(self.halvings + 1) if i == 0 or shorter * 0.5**i >= HALVED_SIDE]
+
+    def _at(self, reference: Image, secondary: Image, ratio: float, size: float, budget: int) -> _Trial | None:
         """What is found at one ratio, None where no similarity of about that scale has a consensus."""
-        first, second = _reduced(reference, min(ratio, 1.0)), _reduced(secondary, min(1.0 / ratio, 1.0))
+        first = _reduced(reference, size * min(ratio, 1.0))
+        second = _reduced(secondary, size * min(1.0 / ratio, 1.0))
         if min(*first.shape, *second.shape) < SMALLEST:
             return None
         found = self._matcher(budget).match(first, second)
         here, there = to_base(found.reference_xy, first, reference), to_base(found.secondary_xy, second, secondary)
         with stage("scale"):
             rng = np.random.default_rng(self.seed)
-            model, inliers = fit_consensus(
-                Similarity, here, there, threshold=self.threshold * max(ratio, 1.0), rng=rng, iterations=ITERATIONS
-            )
+            reach = self.threshold * max(ratio, 1.0) / size
+            model, inliers = fit_consensus(Similarity, here, there, threshold=reach, rng=rng, iterations=ITERATIONS)
         if isinstance(model, FailedFit):
             return None
         scale = math.sqrt(abs(np.linalg.det(model.matrix[:2, :2])))
@@ -136,7 +156,7 @@ class ScaleSearch(Matcher):
             return None
         enlarged = None if found.scale_ratio is None else found.scale_ratio * ratio
         matches = replace(found, reference_xy=here, secondary_xy=there, scale_ratio=enlarged)
-        return _Trial(matches, model, scale, distinct(here[inliers], there[inliers]))
+        return _Trial(matches, model, scale, size, distinct(here[inliers], there[inliers]))
 
     def _matcher(self, budget: int) -> FeatureMatcher:
         return FeatureMatcher(

@@ -15,7 +15,7 @@ from featreg.geometry import Similarity
 from featreg.io import as_image
 from featreg.scale_search import ScaleSearch, _Trial
 from featreg.simulate import sar_pair
-from featreg.types import Matches
+from featreg.types import Image, Matches
 
 cv2 = pytest.importorskip("cv2")
 
@@ -54,7 +54,7 @@ def test_two_alignments_with_a_consensus_each_give_no_match(
     here = np.random.default_rng(0).uniform(0, 100, (5, 2))
     one, half_turn = Similarity(rotation_deg=0.0), Similarity(rotation_deg=180.0, dx=100.0, dy=100.0)
     trials = [
-        _Trial(Matches(here, model(here), np.ones(5)), model, 1.0, places)
+        _Trial(Matches(here, model(here), np.ones(5)), model, 1.0, 1.0, places)
         for model, places in ((one, 90), (half_turn, rival))
     ]
     image = as_image(np.random.default_rng(0).gamma(4, size=(100, 100)))
@@ -65,6 +65,15 @@ def test_two_alignments_with_a_consensus_each_give_no_match(
     assert len(found) == count
     if count:
         np.testing.assert_array_equal(found.secondary_xy, here)
+
+
+def test_both_images_are_halved_while_they_stay_large_enough() -> None:
+    sizes = [ScaleSearch(halvings=2)._sizes(blank(n), blank(1500)) for n in (300, 600, 1100)]
+    assert sizes == [[1.0], [1.0, 0.5], [1.0, 0.5, 0.25]]
+
+
+def blank(side: int) -> Image:
+    return Image(np.ones((side, side), np.float32), np.ones((side, side), np.bool_))
 
 
 def test_nothing_in_nothing_out() -> None:

@@ -55,8 +55,8 @@ def test_finished_blocks_are_reused(located_pair: Any, undisturbed: tuple[Path, 
     total = result.provenance["blocks"]["total"]
     assert len(list(folder.iterdir())) == total
     got = again(located_pair, folder)
-    assert got.provenance["blocks"] | {"size": 0} == {
-        "total": total, "computed": 0, "reused": total, "failed": 0, "size": 0,
+    assert got.provenance["blocks"] | {"size": 0, "halo": 0} == {
+        "total": total, "computed": 0, "reused": total, "failed": 0, "size": 0, "halo": 0,
         "skipped": result.provenance["blocks"]["skipped"],
     }  # fmt: skip
     assert plain(got) == plain(result)
@@ -246,7 +246,7 @@ def test_a_full_disk_is_said_and_leaves_no_half_file(
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(Path, "write_bytes", full)
-    with pytest.raises(featreg.InputError, match="No space left"):
+    with pytest.raises(featreg.FeatregError, match="No space left"):
         again(located_pair, state)
     assert len(list(state.iterdir())) == 3
     monkeypatch.undo()

@@ -172,7 +172,7 @@ def block_gates(
         ),
         "block_error": Gate(
             local, local is not None and local <= limits.block_error_px, high=limits.block_error_px,
-            meaning="median distance of a block's own tie points from the model, exceeded by a twentieth of the blocks, px",
+            meaning="median distance of a block's own tie points from the model, all but the worst 5 % of blocks, px",
         ),
         "held_out_rmse": Gate(
             error, error is not None and error <= limits.held_out_rmse_px, high=limits.held_out_rmse_px,
