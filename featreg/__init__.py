@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from featreg.matching import fit, match
     from featreg.phase_history import PhaseHistory, read_phase_history
     from featreg.pipeline import Pipeline
-    from featreg.products import Product, warp_file
+    from featreg.products.warping import Product, warp_file
     from featreg.registry import available, create, register, register_family
     from featreg.resample import warp
     from featreg.sar.backprojection import GroundGrid, back_project, carrier
@@ -71,7 +71,7 @@ _HOMES = {
     "Nearest": "interfaces",
     "PhaseHistory": "phase_history",
     "Pipeline": "pipeline",
-    "Product": "products",
+    "Product": "products.warping",
     "read_phase_history": "phase_history",
     "read_tie_points": "tie_points",
     "register": "registry",
@@ -79,7 +79,7 @@ _HOMES = {
     "Registration": "types",
     "warm_up": "warming",
     "warp": "resample",
-    "warp_file": "products",
+    "warp_file": "products.warping",
 }
 
 __all__ = [

@@ -15,21 +15,21 @@ from typing import Annotated, Any
 
 import typer
 
-from featreg import cli_compare, cli_export, cli_focus, cli_info, cli_mark, cli_match, cli_sweep, cli_warp
 from featreg._version import __version__
+from featreg.commands import compare, export, focus, info, mark, match, sweep, warp
 from featreg.errors import FeatregError, UnknownNameError, suggest
 
 COMMANDS: dict[str, Callable[..., None]] = {
-    "match": cli_match.match,
-    "compare": cli_compare.compare,
-    "sweep": cli_sweep.sweep,
-    "warp": cli_warp.warp,
-    "export": cli_export.export,
-    "focus": cli_focus.focus,
-    "mark": cli_mark.mark,
-    "list": cli_info.list_plugins,
-    "demo": cli_info.demo,
-    "doctor": cli_info.doctor,
+    "match": match.match,
+    "compare": compare.compare,
+    "sweep": sweep.sweep,
+    "warp": warp.warp,
+    "export": export.export,
+    "focus": focus.focus,
+    "mark": mark.mark,
+    "list": info.list_plugins,
+    "demo": info.demo,
+    "doctor": info.doctor,
 }
 HELP = "Register SAR images: tie points, a geometric model and a verdict on whether to trust it."
 

@@ -60,8 +60,8 @@ def demonstrate(
     from featreg.comparison import compare
     from featreg.io import as_image, write_geotiff
     from featreg.matching import match
-    from featreg.picture_panels import display
-    from featreg.pictures import draw_registration
+    from featreg.pictures.drawing import draw_registration
+    from featreg.pictures.panels import display
     from featreg.result_file import write_atomic
     from featreg.simulate import sar_pair
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from featreg.errors import InputError, ParameterError, suggest
 from featreg.interfaces import FailedFit, Model
 from featreg.io import ImageLike, as_image
-from featreg.lattice import Lattice, lattice_of
+from featreg.products.lattice import Lattice, lattice_of
 from featreg.types import BoolArray, FloatArray, Image, Registration
 
 #: Pixels that one output value rests on, along each axis.

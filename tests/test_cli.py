@@ -16,10 +16,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from featreg import cli, cli_info, cli_match, registry
+from featreg import cli, registry
 from featreg._version import __version__
 from featreg.cli import main
-from featreg.cli_options import parse_settings
+from featreg.commands import info as cli_info
+from featreg.commands import match as cli_match
+from featreg.commands.options import parse_settings
 from featreg.errors import ParameterError
 from featreg.io import as_image, write_geotiff
 from featreg.simulate import sar_pair

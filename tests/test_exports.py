@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from featreg.cli import main
-from featreg.cli_export import NAMES
+from featreg.commands.export import NAMES
 from featreg.errors import InputError, ParameterError
 from featreg.exports.colmap import pair_id
 from featreg.exports.formats import FORMATS, export

@@ -39,8 +39,7 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
     "geolocation": ({"geolocation"}, {"base", "types", "interfaces", "registry", "geometry", "robust", "input"}),
     "plugins": (set(ROOMS), {"base", "types", "sar", "interfaces", "registry", "geometry", "robust", "input"}),
     "results": (
-        {"result_file", "standard_errors", "truth", "resample", "resample_kernels", "lattice", "products",
-         "product_files", "product_grid", "product_samples", "exports"},
+        {"result_file", "standard_errors", "truth", "resample", "resample_kernels", "products", "exports"},
         {"base", "types", "sar", "interfaces", "registry", "geometry", "geolocation", "input"},
     ),
     "focusing": (
@@ -58,13 +57,13 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
          "pipeline"},
     ),
     "evaluation": (
-        {"evaluation", "comparison", "table", "prediction_cache", "pictures", "picture_panels",
-         "picture_sheet", "warming", "experiments", "report", "marking"},
+        {"evaluation", "comparison", "table", "prediction_cache", "pictures",
+         "warming", "experiments", "report", "marking"},
         {"base", "types", "sar", "interfaces", "registry", "geometry", "geolocation", "input", "simulate", "results",
          "focusing", "pipeline", "scene"},
     ),
     "cli": (
-        {"cli", "demo", "doctor", "__main__"},
+        {"cli", "commands", "demo", "doctor", "__main__"},
         {"base", "types", "sar", "interfaces", "registry", "geometry", "geolocation", "input", "simulate", "results",
          "focusing", "pipeline", "scene", "evaluation"},
     ),
@@ -137,7 +136,7 @@ def _imports(name: str, node: ast.AST, *, at_load: bool) -> Iterator[Import]:
 
 def layer(name: str) -> str:
     top = name.removeprefix("featreg.").split(".")[0]
-    found = [key for key, (members, _) in LAYERS.items() if top in members or (key == "cli" and top.startswith("cli_"))]
+    found = [key for key, (members, _) in LAYERS.items() if top in members]
     assert len(found) == 1, f"{name} stands in {found or 'no layer'}: put it into one layer of LAYERS"
     return found[0]
 

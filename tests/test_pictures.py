@@ -12,8 +12,7 @@ import pytest
 from featreg.errors import InputError
 from featreg.geometry import Affine
 from featreg.interfaces import FailedFit
-from featreg.picture_panels import INVALID, PANEL
-from featreg.pictures import (
+from featreg.pictures.drawing import (
     BAD,
     GOOD,
     checkerboard,
@@ -25,6 +24,7 @@ from featreg.pictures import (
     overlay,
     spread_out,
 )
+from featreg.pictures.panels import INVALID, PANEL
 from featreg.simulate import SimulatedPair, sar_pair
 from featreg.types import Image, Matches, Registration
 

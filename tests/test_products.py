@@ -15,9 +15,9 @@ from featreg.errors import CancelledError, InputError, ParameterError
 from featreg.geometry import Affine, Homography
 from featreg.interfaces import FailedFit
 from featreg.io import as_image, write_geotiff
-from featreg.lattice import OtherGrids, lattice_of, resized
-from featreg.product_files import WINDOW
-from featreg.products import Product, warp_file
+from featreg.products.files import WINDOW
+from featreg.products.lattice import OtherGrids, lattice_of, resized
+from featreg.products.warping import Product, warp_file
 from featreg.resample import resample
 from featreg.sar.coherence import coherence, expected_coherence
 from featreg.sar.phase_ramp import PhaseRamp, estimate_phase_ramp
@@ -232,7 +232,7 @@ def test_a_window_that_shows_much_of_the_secondary_is_read_in_parts(
 ) -> None:
     files(tmp_path, texture(*SHAPE).astype(np.uint16))
     warp_file(registration(tmp_path), tmp_path / "sec.tif", tmp_path / "a.tif")
-    monkeypatch.setattr("featreg.products.MOST_READ", 5000)
+    monkeypatch.setattr("featreg.products.warping.MOST_READ", 5000)
     warp_file(registration(tmp_path), tmp_path / "sec.tif", tmp_path / "b.tif")
     a, b = (read(tmp_path / name)[0].astype(int) for name in ("a.tif", "b.tif"))
     assert np.abs(a - b).max() <= 1

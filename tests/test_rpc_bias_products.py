@@ -15,7 +15,7 @@ from featreg.geolocation import DemHeights, RpcBias, RpcSensor, Sensor, sensor_o
 from featreg.geolocation.transfer import on_ground
 from featreg.geometry import Translation
 from featreg.io import as_image, read_image
-from featreg.lattice import lattice_of
+from featreg.products.lattice import lattice_of
 from featreg.resample import resample
 from featreg.simulate_scene import ScenePair, simulate_scene
 from featreg.types import Matches, Registration

@@ -209,7 +209,7 @@ def test_the_command_refuses_what_cannot_be(
 ) -> None:
     from featreg.cli import main
 
-    monkeypatch.setattr("featreg.cli_scene.PATIENCE", 1)
+    monkeypatch.setattr("featreg.commands.scene.PATIENCE", 1)
     given = [option.format(reference=located_pair.reference) for option in options]
     code = main(["match", str(located_pair.reference), str(located_pair.secondary), *given])
     said = capsys.readouterr()
@@ -279,7 +279,7 @@ def test_the_picture_of_a_large_scene_is_made_from_overviews(
     command = ["match", str(located_pair.reference), str(located_pair.secondary), "--block", "200", "--workers", "1"]
     assert main([*command, "--plot", str(tmp_path / "whole.png")]) == 0
     monkeypatch.setattr("featreg.matching.MOST_PIXELS", 100_000)
-    monkeypatch.setattr("featreg.cli_scene.DRAWN", 400)
+    monkeypatch.setattr("featreg.commands.scene.DRAWN", 400)
     monkeypatch.setattr(io, "as_image", None)
     assert main([*command, "--plot", str(tmp_path / "reduced.png")]) == 0
     whole, reduced = (cv2.imread(str(tmp_path / name), cv2.IMREAD_GRAYSCALE) for name in ("whole.png", "reduced.png"))

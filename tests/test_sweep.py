@@ -13,7 +13,7 @@ import pytest
 
 from featreg import Experiment
 from featreg.cli import main
-from featreg.cli_sweep import parse_grid
+from featreg.commands.sweep import parse_grid
 from featreg.errors import ParameterError
 from featreg.experiments.protocol import Protocol
 from featreg.experiments.report_data import report_of

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from featreg.errors import InputError, ParameterError, suggest
 from featreg.interfaces import FailedFit, Model
-from featreg.product_grid import recorded, size_of
+from featreg.products.grid import recorded, size_of
 from featreg.result_file import tie_point_columns
 from featreg.types import BoolArray, FloatArray, Geolocation, Matches, Registration
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from featreg.errors import InputError, ParameterError, suggest
 from featreg.exports.content import content_of
-from featreg.product_grid import inputs_of
+from featreg.products.grid import inputs_of
 from featreg.result_file import tie_point_file
 from featreg.types import Registration
 from featreg.writers import replacing

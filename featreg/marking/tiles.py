@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from featreg.errors import ParameterError
-from featreg.picture_panels import resized, tone, tone_limits
+from featreg.pictures.panels import resized, tone, tone_limits
 from featreg.raster_source import Window, open_source
 from featreg.types import Image
 

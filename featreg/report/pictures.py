@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from featreg.errors import FeatregError, InputError
 from featreg.io import as_image
-from featreg.picture_panels import display, resized
+from featreg.pictures.panels import display, resized
 from featreg.types import Image
 
 #: Longest and shortest side in pixels that a picture is reduced to, and bytes of all pictures of a page together.

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from featreg.errors import InputError
 from featreg.evaluation import default_stage, stage_mask
-from featreg.pictures import spread_out
+from featreg.pictures.drawing import spread_out
 from featreg.report.study import ReportEntry
 from featreg.types import BoolArray, FloatArray, Registration
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from featreg.cli_options import check_output, whole_number
+from featreg.commands.options import check_output, whole_number
 
 
 def mark(

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from featreg import cli_study
-from featreg.cli_options import (
+from featreg.commands import study
+from featreg.commands.options import (
     FeaturesOption,
     ModelOption,
     NodataOption,
@@ -19,7 +19,7 @@ from featreg.cli_options import (
     SetOption,
     parse_settings,
 )
-from featreg.cli_study import (
+from featreg.commands.study import (
     FormatOption,
     IsolateOption,
     LayoutOption,
@@ -96,7 +96,7 @@ def compare(
 
     Exit code 4 means that a method failed with an error on a pair; its row says which.
     """
-    output = cli_study.Output(layout_format, layout, out, report, save, resume)
+    output = study.Output(layout_format, layout, out, report, save, resume)
     output.check()
     if experiment is not None:
         _refuse_beside_file(context)
@@ -110,7 +110,7 @@ def compare(
         parameters = parse_settings(settings)
         names = _names(methods)
         found = Experiment(
-            cli_study.pairs_of(images or [], truth or []),
+            study.pairs_of(images or [], truth or []),
             _usable(parameters) if names == [ALL] else names,
             parameters,
             seeds=range(seed, seed + repeats),
@@ -124,13 +124,13 @@ def compare(
                 time_limit=time_limit,
                 timing=workers == 1 if times is None else times,
             ),
-            metrics=cli_study.metrics_of(metrics, layout),
+            metrics=study.metrics_of(metrics, layout),
         )
-    cli_study.run(found, output, "comparing", workers=workers, isolate=isolate)
+    study.run(found, output, "comparing", workers=workers, isolate=isolate)
 
 
 def _names(methods: str) -> list[str]:
-    return cli_study.words(methods, "--methods", "sar-orb,orb")
+    return study.words(methods, "--methods", "sar-orb,orb")
 
 
 def _usable(parameters: dict[str, Any]) -> list[str]:
@@ -168,7 +168,7 @@ def _from_file(path: str, metrics: str | None, layout: str | None, times: bool |
     found = Experiment.from_file(path)
     names = list(found.metrics if metrics is None else ())
     if metrics is not None or layout is not None:
-        more = cli_study.metrics_of(metrics, layout)
+        more = study.metrics_of(metrics, layout)
         kept = [*names, *(n for n in more if n not in names)] if metrics is None or metrics.startswith("+") else more
         found = dataclasses.replace(found, metrics=tuple(kept))
     if times is not None:

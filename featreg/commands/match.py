@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from featreg.cli_options import (
+from featreg.commands.options import (
     FeaturesOption,
     ModelOption,
     NodataOption,
@@ -22,7 +22,7 @@ from featreg.cli_options import (
     progress,
     whole_number,
 )
-from featreg.cli_scene import (
+from featreg.commands.scene import (
     BlockOption,
     DemOption,
     HeightOption,
@@ -174,7 +174,7 @@ def match(
             result.to_json(json_file)
             written.append(json_file)
         if plot is not None:
-            from featreg.pictures import draw_registration
+            from featreg.pictures.drawing import draw_registration
 
             here, factor = image_to_draw(reference, mask_reference, nodata, scale)
             there, far_factor = image_to_draw(secondary, mask_secondary, nodata, scale)

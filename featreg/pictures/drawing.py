@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from featreg.geometry import decompose, local_linear
 from featreg.interfaces import FailedFit, Model
-from featreg.picture_panels import Gray, checkerboard, display, overlay, views_to_draw_on
-from featreg.picture_sheet import FAINT, INK, Colour, Lines, Note, Sheet, checked_target
+from featreg.pictures.panels import Gray, checkerboard, display, overlay, views_to_draw_on
+from featreg.pictures.sheet import FAINT, INK, Colour, Lines, Note, Sheet, checked_target
 from featreg.truth import Truth, TruthLike, read_truth
 from featreg.types import BoolArray, FloatArray, Image, Registration
 

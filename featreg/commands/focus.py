@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from featreg.cli_options import (
+from featreg.commands.options import (
     check_name,
     check_output,
     counter,
@@ -153,7 +153,7 @@ def focus(
             write_atomic(Path(json_file), (text + "\n").encode())
             written.append(json_file)
         if plot is not None:
-            from featreg.cli_focus_picture import draw_focus
+            from featreg.commands.focus_picture import draw_focus
 
             draw_focus(before, result, plot)
             written.append(plot)

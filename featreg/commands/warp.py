@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from featreg.cli_options import NodataOption, check_name, check_output, counter, limited_threads, whole_number
+from featreg.commands.options import NodataOption, check_name, check_output, counter, limited_threads, whole_number
 
 if TYPE_CHECKING:
-    from featreg.products import Product
+    from featreg.products.warping import Product
 
 
 def factors(text: Any) -> Any:
@@ -104,7 +104,7 @@ def warp(
     check_output(output, "--output", suffixes=[".tif", ".tiff"], inputs=inputs)
     check_output(coherence, "--coherence", suffixes=[".tif", ".tiff"], inputs=inputs)
     with limited_threads(workers):
-        from featreg.products import warp_file
+        from featreg.products.warping import warp_file
         from featreg.resample import TAPS
         from featreg.scales import SCALES
         from featreg.types import Registration

@@ -14,8 +14,8 @@ from threading import Event
 from typing import Any
 
 from featreg.errors import CancelledError
-from featreg.product_grid import Grid
-from featreg.product_samples import Encoding
+from featreg.products.grid import Grid
+from featreg.products.samples import Encoding
 from featreg.raster_source import CACHE_BYTES, Window
 from featreg.writers import geolocation_profile
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
-from featreg.cli_options import COMPILING, check_folder, check_name, progress
+from featreg.commands.options import COMPILING, check_folder, check_name, progress
 
 KINDS = ("detector", "descriptor", "nearest", "matcher", "filter", "model", "method")
 

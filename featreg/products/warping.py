@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from featreg._version import __version__
 from featreg.errors import InputError, ParameterError, suggest
 from featreg.interfaces import Model
-from featreg.lattice import Lattice, lattice_of
-from featreg.product_files import Runner, bounded_cache, cloud_optimised, rasterio_window, tiled_tiff
-from featreg.product_grid import Grid, grid_model, inputs_of, recorded, reference_grid
-from featreg.product_samples import Encoding, encoding_of
+from featreg.products.files import Runner, bounded_cache, cloud_optimised, rasterio_window, tiled_tiff
+from featreg.products.grid import Grid, grid_model, inputs_of, recorded, reference_grid
+from featreg.products.lattice import Lattice, lattice_of
+from featreg.products.samples import Encoding, encoding_of
 from featreg.raster_source import RasterSource, Window
 from featreg.readers import gdal_dataset, quiet
 from featreg.resample import TAPS, Support
@@ -116,7 +116,7 @@ def warp_file(
     Notes
     -----
     The product holds the user's own values: the dtype, the scale and the value for no data of the file
-    (`featreg.product_samples.Encoding`). Intensity and decibels are interpolated as amplitude and turned back.
+    (`featreg.products.samples.Encoding`). Intensity and decibels are interpolated as amplitude and turned back.
     Overviews are averages, of complex samples every n-th.
     """
     if isinstance(registration, str | Path):

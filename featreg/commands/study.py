@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TypeAlias
 
 import typer
 
-from featreg.cli_options import (
+from featreg.commands.options import (
     announce_compiling,
     check_folder,
     check_name,

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.focusing import FocusResult
-from featreg.picture_panels import views_to_draw_on
-from featreg.picture_sheet import FAINT, Note, Sheet, checked_target
+from featreg.pictures.panels import views_to_draw_on
+from featreg.pictures.sheet import FAINT, Note, Sheet, checked_target
 from featreg.types import FloatArray, Image
 
 #: Colours of a trusted and of a distrusted verdict, and of the curve.

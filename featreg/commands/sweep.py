@@ -6,8 +6,8 @@ from typing import Annotated, Any
 
 import typer
 
-from featreg import cli_study
-from featreg.cli_options import (
+from featreg.commands import study
+from featreg.commands.options import (
     OWN_OPTIONS,
     FeaturesOption,
     ModelOption,
@@ -19,7 +19,7 @@ from featreg.cli_options import (
     parse_settings,
     parse_value,
 )
-from featreg.cli_study import (
+from featreg.commands.study import (
     FormatOption,
     IsolateOption,
     LimitOption,
@@ -86,7 +86,7 @@ def sweep(
 
     Exit code 4 means that a combination failed with an error on a pair; its row says which.
     """
-    output = cli_study.Output(layout_format, None, out, report, save, resume)
+    output = study.Output(layout_format, None, out, report, save, resume)
     output.check()
     from featreg.experiments.experiment import Experiment
     from featreg.experiments.protocol import Protocol
@@ -97,7 +97,7 @@ def sweep(
         if key in parameters or {"n_features": n_features, "model": model, "refine": refine}.get(key) is not None:
             raise ParameterError(f"'{key}' is swept, so it cannot be set as well")
     found = Experiment(
-        cli_study.pairs_of(images, truth or []),
+        study.pairs_of(images, truth or []),
         [method],
         parameters,
         points,
@@ -112,9 +112,9 @@ def sweep(
             time_limit=time_limit,
             timing=workers == 1 if times is None else times,
         ),
-        metrics=cli_study.metrics_of(metrics, None),
+        metrics=study.metrics_of(metrics, None),
     )
-    cli_study.run(found, output, "sweeping", workers=workers, isolate=isolate)
+    study.run(found, output, "sweeping", workers=workers, isolate=isolate)
 
 
 def parse_grid(given: list[str]) -> dict[str, list[Any]]:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from featreg.cli_options import check_name, check_output
+from featreg.commands.options import check_name, check_output
 
 #: Held beside `featreg.exports.formats` by a test, so that help needs no import of it.
 NAMES = ("csv", "parquet", "gdal", "qgis", "envi", "colmap", "rpc")

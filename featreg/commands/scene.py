@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 
-from featreg.cli_options import check_folder, number, whole_number
+from featreg.commands.options import check_folder, number, whole_number
 from featreg.errors import InputError, ParameterError
 
 if TYPE_CHECKING:

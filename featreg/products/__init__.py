@@ -1,0 +1,1 @@
+"""Files made with a fitted model: the secondary on the reference grid, coherence."""
