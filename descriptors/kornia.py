@@ -8,7 +8,7 @@ is a file of trained weights, None for those that kornia downloads.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -26,20 +26,8 @@ LEARNED_PATCH = 32
 BATCH = 2048
 
 
-@dataclass(frozen=True)
 class KorniaDescriptor(KorniaPart, Descriptor):
-    """One descriptor of kornia: a row of the table by name, and its parameters.
-
-    Parameters
-    ----------
-    name : key of `TABLE`
-    parameters : the values that differ from the defaults; afterwards all, also as attributes
-    """
-
-    name: str
-    parameters: Mapping[str, Any]
-
-    __hash__ = KorniaPart.__hash__
+    """One descriptor of kornia: a row of the table by name, and its parameters."""
 
     @property
     def row(self) -> Row:

@@ -41,20 +41,8 @@ class DetectorRow(Row):
     describes: bool = False
 
 
-@dataclass(frozen=True)
 class KorniaDetector(KorniaPart, Detector):
-    """One detector of kornia: a row of the table by name, and its parameters.
-
-    Parameters
-    ----------
-    name : key of `TABLE`
-    parameters : the values that differ from the defaults; afterwards all, also as attributes
-    """
-
-    name: str
-    parameters: Mapping[str, Any]
-
-    __hash__ = KorniaPart.__hash__
+    """One detector of kornia: a row of the table by name, and its parameters."""
 
     @property
     def row(self) -> DetectorRow:

@@ -31,20 +31,8 @@ class NearestRow(Row):
     run: Callable[..., tuple[Any, Any]] = field(kw_only=True)
 
 
-@dataclass(frozen=True)
 class KorniaNearest(KorniaPart, Nearest):
-    """One way of kornia to pair descriptors: a row of the table by name, and its parameters.
-
-    Parameters
-    ----------
-    name : key of `TABLE`
-    parameters : the values that differ from the defaults; afterwards all, also as attributes
-    """
-
-    name: str
-    parameters: Mapping[str, Any]
-
-    __hash__ = KorniaPart.__hash__
+    """One way of kornia to pair descriptors: a row of the table by name, and its parameters."""
 
     @property
     def row(self) -> NearestRow:
@@ -84,20 +72,8 @@ class KorniaNearest(KorniaPart, Nearest):
         return rows[order], to_numpy(score).reshape(-1)[order]
 
 
-@dataclass(frozen=True)
 class KorniaMatcher(KorniaPart, Matcher):
-    """One matcher of kornia that needs no keypoints: a row of the table by name, and its parameters.
-
-    Parameters
-    ----------
-    name : key of `MATCHERS`
-    parameters : the values that differ from the defaults; afterwards all, also as attributes
-    """
-
-    name: str
-    parameters: Mapping[str, Any]
-
-    __hash__ = KorniaPart.__hash__
+    """One matcher of kornia that needs no keypoints: a row of the table by name, and its parameters."""
 
     @property
     def row(self) -> Row:

@@ -172,7 +172,7 @@ def test_memory_does_not_grow_with_the_lines(tmp_path: Path) -> None:
     import tracemalloc
 
     peaks = []
-    for rows in (512, 2048):
+    for rows in (384, 1152):
         tracemalloc.start()
         simulate_scene(tmp_path / str(rows), (rows, 256), looks=1, seed=0)
         peaks.append(tracemalloc.get_traced_memory()[1])
