@@ -9,6 +9,7 @@ from __future__ import annotations
 import socket
 import threading
 import urllib.request
+from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -141,8 +142,9 @@ class KorniaPart:
     parameters: Mapping[str, Any]
 
     @property
+    @abstractmethod
     def row(self) -> Row:
-        raise NotImplementedError
+        """The row of this name in the table of its room."""
 
     def __post_init__(self) -> None:
         values = settings(self.name, self.row, self.parameters)

@@ -22,9 +22,10 @@ from featreg.geometry import (
     refitted_covariance,
     regional_covariance,
 )
+from featreg.geometry.places import places
 from featreg.interfaces import FailedFit, Model
 from featreg.robust import irls
-from featreg.types import BoolArray, FloatArray, Gate, IntArray, Matches
+from featreg.types import BoolArray, FloatArray, Gate, Matches
 
 # Cells along the longer side of the reference in which tie points are counted once, and for the spread.
 SPREAD_CELLS = 8
@@ -187,13 +188,7 @@ def _text(gate: Gate) -> str:
 
 def distinct(reference_xy: FloatArray, secondary_xy: FloatArray) -> int:
     """Number of tie points once those that share a cell of 6 px, in either image, count as one."""
-    return min(len(np.unique(_cell(xy))) for xy in (reference_xy, secondary_xy))
-
-
-def _cell(xy: FloatArray) -> IntArray:
-    """(M,) one number for the cell of 6 px in which each point lies."""
-    x, y = np.floor(xy / DISTINCT_PX).astype(np.int64).T
-    return np.asarray(y * (1 << 24) + x)
+    return min(len(np.unique(places(xy, DISTINCT_PX))) for xy in (reference_xy, secondary_xy))
 
 
 def spread(xy: FloatArray, shape: tuple[int, int]) -> float:
@@ -241,7 +236,7 @@ def log10_chance(
 
 def _moves(matches: Matches) -> int:
     """Number of distinct (reference cell, secondary cell) pairs."""
-    pairs = np.column_stack([_cell(matches.reference_xy), _cell(matches.secondary_xy)])
+    pairs = np.column_stack([places(xy, DISTINCT_PX) for xy in (matches.reference_xy, matches.secondary_xy)])
     order = np.lexsort(pairs.T)
     return int((np.diff(pairs[order], axis=0) != 0).any(axis=1).sum()) + 1 if len(pairs) else 0
 

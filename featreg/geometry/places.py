@@ -22,9 +22,9 @@ WIDEST = 2.0
 FAR = 1e7
 
 
-def places(xy: FloatArray) -> IntArray:
-    """Return the number of the cell of 96 px in which each of (M, 2) points lies, (M,) int64."""
-    x, y = np.floor(xy / PLACE_PX).astype(np.int64).T
+def places(xy: FloatArray, side: float = PLACE_PX) -> IntArray:
+    """Return the number of the cell of `side` px in which each of (M, 2) points lies, (M,) int64."""
+    x, y = np.floor(xy / side).astype(np.int64).T
     return np.asarray(y * (1 << 24) + x)
 
 
