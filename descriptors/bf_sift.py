@@ -10,15 +10,8 @@ from featreg.errors import ParameterError
 from featreg.interfaces import Descriptor
 from featreg.registry import register
 from featreg.sar.bilateral import BilateralSpace, bilateral_field
-from featreg.sar.gradient_histograms import (
-    HARMONICS,
-    LENGTH,
-    described,
-    from_base,
-    gloh,
-    leading_harmonics,
-    normalised,
-)
+from featreg.sar.gradient_field import from_base
+from featreg.sar.gradient_histograms import HARMONICS, described, gloh, normalised, row_length
 from featreg.sar.pyramid import pyramid
 from featreg.types import Features, Image
 
@@ -80,14 +73,14 @@ class BfSiftDescriptor(Descriptor):
         wanted = np.maximum(features.scale, 1e-9) * self.coarser / self.support / self.sigma
         steps = np.rint(np.log2(wanted) * self.intervals).astype(np.int64)
         number = np.clip(steps, 1, len(chain) * self.intervals) - 1
-        histograms = np.zeros((len(features), LENGTH), np.float32)
+        cells = np.zeros((len(features), row_length(self.harmonics)), np.float32)
         for n in np.unique(number):
             rows = np.flatnonzero(number == n)
             octave, interval = divmod(int(n), self.intervals)
             level = chain[octave]
             field = bilateral_field(level, space, interval + 1)
-            histograms[rows] = gloh(
+            cells[rows] = gloh(
                 field, from_base(features.xy[rows], level, image),
-                features.scale[rows] * level.shape[1] / image.shape[1], features.angle[rows], self.step,
+                features.scale[rows] * level.shape[1] / image.shape[1], features.angle[rows], self.harmonics, self.step,
             )  # fmt: skip
-        return described(image, features, leading_harmonics(normalised(histograms), self.harmonics))
+        return described(image, features, normalised(cells))

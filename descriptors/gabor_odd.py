@@ -11,21 +11,14 @@ from featreg.errors import ParameterError
 from featreg.interfaces import Descriptor
 from featreg.registry import register
 from featreg.sar.gabor import gabor_gradients
-from featreg.sar.gradient_histograms import (
-    HARMONICS,
-    LENGTH,
-    PolarField,
-    described,
-    from_base,
-    gloh,
-    leading_harmonics,
-    normalised,
-    octave,
-)
+from featreg.sar.gradient_field import GradientField, from_base, octave
+from featreg.sar.gradient_histograms import HARMONICS, described, gloh, normalised, row_length
 from featreg.types import Features, Image
 
 # A scale is computed on the coarsest halving of the image on which its sigma is at least so many pixels.
 COARSEST_GRID = 1.4
+# From this sigma on, in pixels of that halving, gradients are computed in every other row and column.
+SPARSE = 1.9
 
 
 @register("gabor-odd")
@@ -52,9 +45,9 @@ class GaborOdd(Descriptor):
     scales are joined by adding their normalised histograms, which keeps the length and counts every scale alike; any
     detector's keypoints may be described, those kept being the ones of the highest score. Three directions match as
     well as four, six or eight. Cells are GLOH's 17 instead of SIFT's 16 square ones. Two harmonics of a cell's
-    directions match as well as its eight bins. Filters of larger sigma run on a halved image. What lies outside the
-    image or near nodata counts as no gradient; only keypoints that lie there themselves, or have no gradient around
-    them, are dropped.
+    directions match as well as its eight bins. Filters of larger sigma run on a halved image, and from a sigma of 1.9
+    of its pixels on in every other row and column of it. What lies outside the image or near nodata counts as no
+    gradient; only keypoints that lie there themselves, or have no gradient around them, are dropped.
     """
 
     scales: int = 1
@@ -83,15 +76,15 @@ class GaborOdd(Descriptor):
         return scale + 2 * self.sigma * self.factor ** (self.scales - 1)
 
     def describe_features(self, image: Image, features: Features) -> Features:
-        total = np.zeros((len(features), LENGTH), np.float32)
+        total = np.zeros((len(features), row_length(self.harmonics)), np.float32)
         for k in range(self.scales):
             level, sigma = octave(image, self.sigma * self.factor**k, COARSEST_GRID)
             field = level.derive(_field, sigma=sigma, orientations=self.orientations, floor=self.floor)
             radius = features.scale * level.shape[1] / image.shape[1]
-            histograms = gloh(field, from_base(features.xy, level, image), radius, features.angle, self.step)
-            total += normalised(histograms)
-        return described(image, features, leading_harmonics(normalised(total), self.harmonics))
+            xy = from_base(features.xy, level, image)
+            total += normalised(gloh(field, xy, radius, features.angle, self.harmonics, self.step))
+        return described(image, features, normalised(total))
 
 
-def _field(level: Image, sigma: float, orientations: int, floor: float) -> PolarField:
-    return PolarField.of(*gabor_gradients(level, sigma, orientations, floor))
+def _field(level: Image, sigma: float, orientations: int, floor: float) -> GradientField:
+    return GradientField(*gabor_gradients(level, sigma, orientations, floor, sparse=sigma >= SPARSE))

@@ -10,17 +10,8 @@ import numpy as np
 from featreg.errors import ParameterError
 from featreg.interfaces import Descriptor
 from featreg.registry import register
-from featreg.sar.gradient_histograms import (
-    HARMONICS,
-    LENGTH,
-    described,
-    from_base,
-    gloh,
-    leading_harmonics,
-    normalised,
-    octave,
-    ratio_field,
-)
+from featreg.sar.gradient_field import from_base, octave, ratio_field
+from featreg.sar.gradient_histograms import HARMONICS, described, gloh, normalised, row_length
 from featreg.types import Features, Image
 
 
@@ -79,15 +70,15 @@ class RatioGloh(Descriptor):
         return scale + 2 * max(self.finest, scale / self.support)
 
     def describe_features(self, image: Image, features: Features) -> Features:
-        histograms = np.zeros((len(features), LENGTH), np.float32)
+        cells = np.zeros((len(features), row_length(self.harmonics)), np.float32)
         steps = np.log(np.maximum(features.scale / self.support / self.finest, 1)) / math.log(self.factor)
         number = np.rint(np.minimum(steps, math.log(max(image.shape)) / math.log(self.factor))).astype(np.int64)
         for n in np.unique(number):
             rows = np.flatnonzero(number == n)
             level, alpha = octave(image, self.finest * self.factor ** int(n))
             smaller = level.shape[1] / image.shape[1]
-            histograms[rows] = gloh(
+            cells[rows] = gloh(
                 ratio_field(level, alpha, self.floor), from_base(features.xy[rows], level, image),
-                features.scale[rows] * smaller, features.angle[rows], self.step, self.soft,
+                features.scale[rows] * smaller, features.angle[rows], self.harmonics, self.step, self.soft,
             )  # fmt: skip
-        return described(image, features, leading_harmonics(normalised(histograms, self.root), self.harmonics))
+        return described(image, features, normalised(cells, self.root))

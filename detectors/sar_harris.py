@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from featreg.errors import ParameterError
 from featreg.interfaces import Detector
 from featreg.registry import register
-from featreg.sar.gradient_histograms import dominant_orientation, filled_gradients, from_base, octave, ratio_field
+from featreg.sar.gradient_field import filled_gradients, from_base, octave, ratio_field
+from featreg.sar.gradient_histograms import dominant_orientation
 from featreg.sar.maxima import interpolated, local_maxima, parabola_peak, quadratic_peak
 from featreg.sar.pyramid import clear, share_out, to_base
 from featreg.types import Features, FloatArray, Image, IntArray

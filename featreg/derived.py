@@ -6,6 +6,7 @@ import inspect
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
+from dataclasses import fields, is_dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -58,9 +59,7 @@ class DerivedMaps:
 
     def _keep(self, key: Any, value: Any) -> None:
         parts = value if isinstance(value, tuple) else (value,)
-        # A derived image, a pyramid level for example, counts with its pixels; what is derived from it is its own.
-        held = [getattr(part, "pixels", part) for part in parts]
-        arrays = [array for array in held if isinstance(array, np.ndarray)]
+        arrays = [array for part in parts for array in _arrays(part)]
         for array in arrays:
             array.flags.writeable = False
         with self._lock:
@@ -68,3 +67,13 @@ class DerivedMaps:
             while sum(size for _, size in self._maps.values()) > self._max_bytes and len(self._maps) > 1:
                 gone, _ = self._maps.popitem(last=False)
                 self._locks.pop(gone, None)
+
+
+def _arrays(part: Any) -> list[np.ndarray[Any, Any]]:
+    """What of a result takes memory: itself, the pixels of a derived image, the arrays of a dataclass."""
+    if hasattr(part, "pixels"):
+        # A pyramid level, for example; what is derived from it is its own.
+        held = [part.pixels]
+    else:
+        held = [getattr(part, f.name) for f in fields(part)] if is_dataclass(part) else [part]
+    return [array for array in held if isinstance(array, np.ndarray)]

@@ -14,16 +14,8 @@ import featreg
 from featreg import registry
 from featreg.errors import ParameterError
 from featreg.io import as_image
-from featreg.sar.gradient_histograms import (
-    CELLS,
-    DIRECTIONS,
-    PolarField,
-    dominant_orientation,
-    from_base,
-    gloh,
-    normalised,
-    octave,
-)
+from featreg.sar.gradient_field import GradientField, from_base, octave
+from featreg.sar.gradient_histograms import CELLS, DIRECTIONS, dominant_orientation, gloh, normalised, row_length
 from featreg.sar.maxima import interpolated, local_maxima, parabola_peak, quadratic_peak
 from featreg.sar.pyramid import to_base
 from featreg.simulate import SimulatedPair
@@ -32,10 +24,10 @@ from featreg.types import Features, Image
 Texture = Callable[..., NDArray[np.float32]]
 
 
-def uniform_field(angle: float, shape: tuple[int, int] = (80, 90)) -> PolarField:
+def uniform_field(angle: float, shape: tuple[int, int] = (80, 90)) -> GradientField:
     """Unit gradients that all point along `angle`, counter-clockwise as seen."""
     ones = np.ones(shape, np.float32)
-    return PolarField.of(ones * np.float32(math.cos(angle)), ones * np.float32(-math.sin(angle)))
+    return GradientField(ones * np.float32(math.cos(angle)), ones * np.float32(-math.sin(angle)))
 
 
 def detect(picture: Image, **parameters: Any) -> Features:
@@ -62,11 +54,14 @@ def test_the_dominant_orientation_is_that_of_the_gradients(angle: float) -> None
     assert abs(math.remainder(float(found[0]) - angle, 2 * math.pi)) < math.radians(1.5)
 
 
-def test_no_gradient_has_no_orientation_and_an_empty_histogram() -> None:
-    flat = PolarField.of(*np.zeros((2, 50, 50), np.float32))
+@pytest.mark.parametrize("harmonics", [0, 2, 4])
+def test_no_gradient_has_no_orientation_and_nothing_to_describe(harmonics: int) -> None:
+    flat = GradientField(*np.zeros((2, 50, 50), np.float32))
     xy, radius = np.array([[25.0, 25.0]]), np.array([10.0])
     assert dominant_orientation(flat, xy, radius)[0] == 0
-    assert not normalised(gloh(flat, xy, radius, np.zeros(1))).any()
+    rows = normalised(gloh(flat, xy, radius, np.zeros(1), harmonics))
+    assert rows.shape == (1, row_length(harmonics))
+    assert not rows.any()
 
 
 @pytest.mark.parametrize("soft", [True, False])
@@ -74,15 +69,41 @@ def test_directions_count_from_that_of_the_point(soft: bool) -> None:
     """Gradients along the point's own direction fall into bin 0, those a quarter turn on into bin 2."""
     xy, radius = np.array([[40.3, 41.8]]), np.array([15.0])
     for turn, bin_ in ((0.0, 0), (math.pi / 2, 2), (-math.pi / 2, 6)):
-        histogram = gloh(uniform_field(0.7 + turn), xy, radius, np.array([0.7]), soft=soft).reshape(DIRECTIONS, CELLS)
+        field = uniform_field(0.7 + turn)
+        histogram = gloh(field, xy, radius, np.array([0.7]), 4, soft=soft).reshape(DIRECTIONS, CELLS)
         np.testing.assert_allclose(histogram[bin_].sum() / histogram.sum(), 1, atol=1e-3)
         assert (histogram[bin_] > 0).all()
 
 
+@pytest.mark.parametrize("soft", [True, False])
+@pytest.mark.parametrize("kept", [0, 1, 2, 3])
+def test_harmonics_are_those_of_histograms_that_share_a_direction_between_two_bins(
+    sar_texture: Texture, soft: bool, kept: int
+) -> None:
+    """Up to what eight bins cannot tell apart: the harmonics 8 - k and 8 + k, which they weaken to a tenth and less."""
+    from scipy.ndimage import gaussian_filter
+
+    smooth = gaussian_filter(np.log(sar_texture(160, 160) + 1), 2)
+    field = GradientField(*(np.gradient(smooth, axis=axis).astype(np.float32) for axis in (1, 0)))
+    g = np.random.default_rng(1)
+    xy, radius, angle = g.uniform(-5, 165, (200, 2)), g.uniform(8, 30, 200), g.uniform(-4, 7, 200)
+    histograms = gloh(field, xy, radius, angle, 4, soft=soft).reshape(200, DIRECTIONS, CELLS)
+    harmonics = gloh(field, xy, radius, angle, kept, soft=soft).reshape(200, 1 + 2 * kept, CELLS)
+    turn = 2 * math.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    waves = [np.full(DIRECTIONS, math.sqrt(0.5))] + [f(k * turn) for k in range(1, kept + 1) for f in (np.cos, np.sin)]
+    wanted = np.einsum("nbc,wb->nwc", histograms, np.array(waves)) / 2
+    lengths = np.linalg.norm(histograms.reshape(200, -1), axis=1)
+    assert lengths.min() > 0
+    assert np.abs(harmonics[:, 0] - wanted[:, 0]).max() < 1e-4 * lengths.max()
+    off = np.linalg.norm((harmonics - wanted).reshape(200, -1), axis=1) / lengths
+    assert np.median(off) < 0.03 * (1 + kept)
+
+
 def test_every_sample_counts_once() -> None:
     xy, radius, angle = np.array([[40.0, 40.0]]), np.array([15.0]), np.array([0.3])
-    sums = [gloh(uniform_field(1.0), xy, radius, angle, soft=soft).sum() for soft in (True, False)]
-    np.testing.assert_allclose(sums[0], sums[1], rtol=1e-5)
+    for harmonics in (0, 4):
+        sums = [gloh(uniform_field(1.0), xy, radius, angle, harmonics, soft=soft).sum() for soft in (True, False)]
+        np.testing.assert_allclose(sums[0], sums[1], rtol=1e-5)
 
 
 @pytest.mark.parametrize("sector", range(8))
@@ -93,30 +114,44 @@ def test_cells_follow_each_other_counter_clockwise(sector: int) -> None:
     y, x = np.mgrid[:120, :120]
     direction = np.arctan2(60 - y, x - 60)
     near = np.abs((direction - towards + math.pi) % (2 * math.pi) - math.pi) < math.radians(10)
-    field = PolarField(near.astype(np.float32), np.zeros(near.shape, np.float32))
-    histogram = gloh(field, xy, radius, angle, soft=False).reshape(DIRECTIONS, CELLS).sum(axis=0)
-    assert histogram[1 + sector] > 0.9 * histogram[1:9].sum()
-    assert histogram[9 + sector] > 0.9 * histogram[9:].sum()
+    field = GradientField(near.astype(np.float32), np.zeros(near.shape, np.float32))
+    for harmonics in (0, 4):
+        cells = gloh(field, xy, radius, angle, harmonics, soft=False).reshape(-1, CELLS).sum(axis=0)
+        assert cells[1 + sector] > 0.9 * cells[1:9].sum()
+        assert cells[9 + sector] > 0.9 * cells[9:].sum()
 
 
 def test_what_lies_outside_the_field_counts_as_nothing() -> None:
     field, radius, angle = uniform_field(1.0), np.array([15.0]), np.zeros(1)
-    whole = gloh(field, np.array([[40.0, 40.0]]), radius, angle).sum()
-    corner = gloh(field, np.array([[0.0, 0.0]]), radius, angle).sum()
-    assert 0.2 < corner / whole < 0.35
-    assert gloh(field, np.array([[-500.0, 1e6]]), radius, angle).sum() == 0
+    for harmonics in (0, 4):
+        whole = gloh(field, np.array([[40.0, 40.0]]), radius, angle, harmonics).sum()
+        corner = gloh(field, np.array([[0.0, 0.0]]), radius, angle, harmonics).sum()
+        assert 0.2 < corner / whole < 0.35
+        assert gloh(field, np.array([[-500.0, 1e6]]), radius, angle, harmonics).sum() == 0
 
 
 def test_descriptors_are_unit_vectors_without_large_components() -> None:
     rows = np.random.default_rng(0).gamma(0.3, 1.0, (50, 136)).astype(np.float32)
     for root in (False, True):
-        np.testing.assert_allclose(np.linalg.norm(normalised(rows, root), axis=1), 1, rtol=1e-5)
+        for length in (17, 85, 136):
+            np.testing.assert_allclose(np.linalg.norm(normalised(rows[:, :length], root), axis=1), 1, rtol=1e-5)
     np.testing.assert_allclose(normalised(3 * rows), normalised(rows), rtol=1e-4)
     one = np.ones((1, 136), np.float32)
     one[0, 0] = 50
     plain, clipped = one[0, 0] / np.linalg.norm(one), normalised(one)[0, 0]
     assert plain > 0.9
     np.testing.assert_allclose(clipped / normalised(one)[0, 1], 0.2 / plain * 50, rtol=1e-4)
+
+
+def test_no_cell_of_harmonics_decides_alone() -> None:
+    """A cell is shortened as a whole, so that its directions keep their proportion."""
+    one = np.ones((1, 5, CELLS), np.float32)
+    one[0, :, 3] = [40, 30, 5, 1, 2]
+    found = normalised(one.reshape(1, -1))[0].reshape(5, CELLS)
+    strong, other = (np.linalg.norm(found[:, k]) for k in (3, 0))
+    whole = np.linalg.norm(one)
+    np.testing.assert_allclose(strong / other, 0.3 / (np.sqrt(5) / whole), rtol=1e-4)
+    np.testing.assert_allclose(found[:, 3] / strong, one[0, :, 3] / np.linalg.norm(one[0, :, 3]), rtol=1e-5)
 
 
 # Maxima

@@ -135,6 +135,23 @@ def test_derive_needs_a_function_of_a_module(function: Callable[..., Any]) -> No
         image().derive(function)
 
 
+def test_what_a_dataclass_of_maps_holds_counts_as_memory() -> None:
+    """Kept by their sizes, the older of two goes; arrays of a dataclass are as read-only as others."""
+    from featreg.sar.gradient_field import GradientField
+
+    def field(image: None, number: int) -> GradientField:
+        made.append(number)
+        return GradientField(*np.full((2, 100, 100), number, np.float32))
+
+    made: list[int] = []
+    field.__qualname__ = "field"
+    maps = DerivedMaps(max_bytes=100_000)
+    for number in (1, 2, 2, 1):
+        found = maps.get(None, field, {"number": number})
+        assert not found.x.flags.writeable
+    assert made == [1, 2, 1]
+
+
 def test_derived_maps_stay_out_of_the_pickle() -> None:
     made = image(100, 100)
     before = len(pickle.dumps(made))

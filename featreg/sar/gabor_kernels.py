@@ -43,3 +43,56 @@ def add_ratios(means: C64, small: np.float32, x: np.float32, y: np.float32, gx: 
         _log_ratio(after, before)
         _add(after, x, gx[row])
         _add(after, -y, gy[row])
+
+
+@compiled
+def _filter(spectrum: C64, transfer: F32, out: C64) -> None:
+    for k in range(out.shape[0]):
+        out[k] = spectrum[k] * transfer[k]
+
+
+@compiled
+def _add_filtered(spectrum: C64, transfer: F32, out: C64) -> None:
+    for k in range(out.shape[0]):
+        out[k] += spectrum[k] * transfer[k]
+
+
+@compiled
+def filter_folded(spectrum: C64, transfer: F32, out: C64) -> None:
+    """Multiply a spectrum (H, W) by a real transfer function and fold it to (H / 2, W / 2).
+
+    The inverse transform of that, as of the whole without division by the size, is every other sample of both axes.
+    """
+    height, width = out.shape
+    for row in range(height):
+        _filter(spectrum[row, :width], transfer[row, :width], out[row])
+        _add_filtered(spectrum[row, width:], transfer[row, width:], out[row])
+        _add_filtered(spectrum[row + height, :width], transfer[row + height, :width], out[row])
+        _add_filtered(spectrum[row + height, width:], transfer[row + height, width:], out[row])
+
+
+@compiled
+def _average(first: F32, second: F32, out: F32) -> None:
+    for k in range(out.shape[0]):
+        out[k] = np.float32(0.5) * (first[k] + second[k])
+
+
+@compiled
+def _spread(samples: F32, out: F32) -> None:
+    for k in range(out.shape[0] // 2):
+        out[2 * k] = samples[k]
+        out[2 * k + 1] = np.float32(0.5) * (samples[k] + samples[k + 1])
+    if out.shape[0] % 2:
+        out[-1] = samples[out.shape[0] // 2]
+
+
+@compiled
+def interpolate(samples: F32, out: F32) -> None:
+    """Fill (H, W) from its even rows and columns, (H // 2 + 1, W // 2 + 1), linearly."""
+    between = np.empty(samples.shape[1], np.float32)
+    for row in range(out.shape[0]):
+        if row % 2:
+            _average(samples[row // 2], samples[row // 2 + 1], between)
+            _spread(between, out[row])
+        else:
+            _spread(samples[row // 2], out[row])

@@ -1,4 +1,4 @@
-"""Histograms of gradient directions around keypoints: dominant orientation and GLOH-like log-polar descriptors.
+"""How gradient directions are distributed around keypoints: dominant orientation, GLOH-like log-polar descriptors.
 
 References
 ----------
@@ -16,10 +16,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from featreg.sar.pyramid import pyramid
-from featreg.sar.ratio import ratio_gradients, roewa
-from featreg.sar.speckle import filled_amplitude
-from featreg.types import BoolArray, Features, FloatArray, Image
+from featreg.sar.gradient_field import GradientField
+from featreg.types import Features, FloatArray, Image
 
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]
@@ -33,89 +31,16 @@ CELLS = 1 + 2 * SECTORS
 LENGTH = CELLS * DIRECTIONS
 #: Outer radii of the central disc and the inner ring, relative to that of the descriptor.
 DISC, RING = 0.25, 0.73
-# Pixels nearer than so many alpha to nodata, which counts as the mean, get no ratio gradient.
-BLIND = 3.0
 # Pieces of equal weight into which the patterns are cut.
 DISC_RINGS, PIECE_RINGS = 8, 8
 # Points whose pieces are held at a time.
 BLOCK = 64
-# No component of a unit descriptor may exceed this (Lowe): a few strong edges must not decide alone.
-CLIP = 0.2
+# No component of a unit histogram may exceed the first (Lowe), no cell of unit harmonics the second: a few strong edges
+# must not decide alone.
+CLIP, CELL_CLIP = 0.2, 0.3
 
 
-@dataclass(frozen=True, eq=False)
-class PolarField:
-    """A gradient field by length and direction.
-
-    `magnitude` (H, W) float32; `direction` (H, W) float32 radians in [0, 2 pi), counter-clockwise as seen, towards
-    growing values.
-    """
-
-    magnitude: F32
-    direction: F32
-
-    @classmethod
-    def of(cls, gx: F32, gy: F32) -> PolarField:
-        """From (H, W) float32 components along x and (downwards) y."""
-        import cv2
-
-        magnitude, direction = cv2.cartToPolar(gx, gy)
-        # Counter-clockwise as seen is the other way round than OpenCV's, whose y points down.
-        return cls(np.asarray(magnitude, np.float32), np.asarray(np.float32(2 * math.pi) - direction, np.float32))
-
-
-def octave(image: Image, alpha: float, finest: float = 1.25) -> tuple[Image, float]:
-    """Return the image, halved as often as leaves `alpha` at least `finest`, and what alpha is there.
-
-    What is smoothed over many pixels says as much on a coarser grid, at a quarter of the cost each time.
-    """
-    halvings = max(0, math.floor(math.log2(alpha / finest) + 1e-6))
-    chain = pyramid(image, halvings + 1, 2.0)
-    level = chain[-1]
-    return level, alpha / 2 ** (len(chain) - 1)
-
-
-def from_base(xy: FloatArray, level: Image, base: Image) -> FloatArray:
-    """Map (N, 2) points of the base image to a level of it; the inverse of `to_base`."""
-    scale = np.array([level.shape[1] / base.shape[1], level.shape[0] / base.shape[0]])
-    return np.asarray((xy + 0.5) * scale - 0.5)
-
-
-def clear_of_nodata(image: Image, distance: float) -> BoolArray:
-    """Return the (H, W) bool map of pixels with no invalid one in a square of `distance` pixels; borders are free."""
-    import cv2
-
-    side = 2 * math.ceil(distance) + 1
-    return np.asarray(cv2.erode(image.mask.view(np.uint8), np.ones((side, side), np.uint8))).view(np.bool_)
-
-
-def filled_gradients(level: Image, alpha: float, floor: float) -> tuple[F32, F32]:
-    """Return ROEWA gradients (H, W) with invalid pixels at the mean amplitude: false within some alpha of them.
-
-    Half the cost of `ratio_gradients`, where that has to weigh its means; equal to it where every pixel is valid.
-    """
-    if level.all_valid:
-        return ratio_gradients(level, alpha, floor)
-    return level.derive(_filled_gradients, alpha=float(alpha), floor=float(floor))
-
-
-def _filled_gradients(level: Image, alpha: float, floor: float) -> tuple[F32, F32]:
-    return roewa(filled_amplitude(level), alpha, None, floor)
-
-
-def ratio_field(level: Image, alpha: float, floor: float) -> PolarField:
-    """Return the ROEWA gradient of an image, computed once, by length and direction; 0 within 3 alpha of nodata."""
-    return level.derive(_ratio_field, alpha=float(alpha), floor=float(floor))
-
-
-def _ratio_field(level: Image, alpha: float, floor: float) -> PolarField:
-    field = PolarField.of(*filled_gradients(level, alpha, floor))
-    if level.all_valid:
-        return field
-    return PolarField(field.magnitude * clear_of_nodata(level, BLIND * alpha), field.direction)
-
-
-def dominant_orientation(field: PolarField, xy: FloatArray, radius: FloatArray, step: float = 0.14) -> FloatArray:
+def dominant_orientation(field: GradientField, xy: FloatArray, radius: FloatArray, step: float = 0.14) -> FloatArray:
     """Return the (N,) direction in radians around which the gradients near each point gather.
 
     Parameters
@@ -139,9 +64,15 @@ def dominant_orientation(field: PolarField, xy: FloatArray, radius: FloatArray, 
 
 
 def gloh(
-    field: PolarField, xy: FloatArray, radius: FloatArray, angle: FloatArray, step: float = 1 / 12, soft: bool = True
+    field: GradientField,
+    xy: FloatArray,
+    radius: FloatArray,
+    angle: FloatArray,
+    harmonics: int = 2,
+    step: float = 0.125,
+    soft: bool = True,
 ) -> F32:
-    """Return (N, 136) float32 histograms of the gradients around each point, not normalised.
+    """Return how gradients are directed in the cells around each point, not normalised.
 
     Parameters
     ----------
@@ -149,48 +80,52 @@ def gloh(
     xy : (N, 2) points in pixels of the field
     radius : (N,) of the descriptors in pixels of the field
     angle : (N,) radians; cells and directions are relative to it
+    harmonics : Fourier harmonics of the directions of a cell, 0 to 3; 4 gives histograms of eight directions instead
     step : distance of the samples relative to the radius
     soft : share each sample between neighbouring cells instead of giving it to one
 
+    Returns
+    -------
+    (N, 17 * (1 + 2 * harmonics)) float32
+        For each cell the sum of the gradients' lengths, and their cosine and sine of each harmonic, cells running
+        fastest; with 4 harmonics (N, 136), the cells of each of eight directions in turn.
+
     Notes
     -----
-    A central disc and two rings of eight sectors (radii 0.25, 0.73 and 1), each with a histogram of eight directions:
-    GLOH's 17 cells with half of its directions. Samples lie on a square grid that turns with the point and read the
-    nearest pixel of the field; what lies outside the field counts as no gradient.
+    A central disc and two rings of eight sectors (radii 0.25, 0.73 and 1): GLOH's 17 cells. Samples lie on a square
+    grid that turns with the point and read the nearest pixel of the field; what lies outside the field counts as no
+    gradient. Harmonics are weighted as in a histogram in which a direction is shared by the two nearest of eight bins:
+    distances are those of such histograms without their finest detail, which is mostly speckle.
     """
-    return _pooled(field, xy, radius, angle, _log_polar(step, soft), DIRECTIONS)
+    pattern = _log_polar(step, soft)
+    if harmonics >= HARMONICS:
+        return _pooled(field, xy, radius, angle, pattern, DIRECTIONS)
+    return _harmonics(field, xy, radius, angle, pattern, harmonics)
 
 
-def normalised(histograms: F32, root: bool = False) -> F32:
-    """Return unit vectors whose components were clipped at 0.2 and brought to unit length again.
+def row_length(harmonics: int) -> int:
+    """Numbers of `gloh` for one point."""
+    return LENGTH if harmonics >= HARMONICS else CELLS * (1 + 2 * harmonics)
 
-    `root` takes the root of each component's share instead (R. Arandjelovic, A. Zisserman, CVPR 2012,
-    DOI 10.1109/CVPR.2012.6248018), which makes the Euclidean distance one of distributions. Empty rows stay 0.
+
+def normalised(rows: F32, root: bool = False) -> F32:
+    """Return rows of `gloh` as unit vectors in which no edge decides alone; empty ones stay 0.
+
+    Components of histograms are clipped at 0.2, cells of harmonics at a length of 0.3, and the rows brought to unit
+    length again. `root` instead takes the root of each component's share (R. Arandjelovic, A. Zisserman, CVPR 2012,
+    DOI 10.1109/CVPR.2012.6248018), or of each cell's, which makes the Euclidean distance one of distributions.
     """
+    if rows.shape[1] == LENGTH:
+        if root:
+            total = rows.sum(axis=1, keepdims=True)
+            return np.asarray(np.sqrt(rows / np.where(total > 0, total, 1)), np.float32)
+        return _unit(np.minimum(_unit(rows), np.float32(CLIP)))
+    cells = _unit(rows).reshape(len(rows), rows.shape[1] // CELLS, CELLS)
     if root:
-        total = histograms.sum(axis=1, keepdims=True)
-        return np.asarray(np.sqrt(histograms / np.where(total > 0, total, 1)), np.float32)
-    clipped = np.minimum(_unit(histograms), np.float32(CLIP))
-    return _unit(clipped)
-
-
-def leading_harmonics(histograms: F32, count: int) -> F32:
-    """Return (N, 17 * (1 + 2 count)) float32: the mean and the first `count` harmonics of each cell's directions.
-
-    Their basis is orthonormal, so that distances are those of the histograms without their finest detail, which is
-    mostly speckle. With all four harmonics the (N, 136) histograms come back as they are.
-    """
-    if count >= HARMONICS:
-        return histograms
-    return np.asarray(histograms @ _harmonic_basis(count), np.float32)
-
-
-@lru_cache(maxsize=4)
-def _harmonic_basis(count: int) -> F32:
-    turn = 2 * math.pi * np.arange(DIRECTIONS) / DIRECTIONS
-    waves = [wave(k * turn) for k in range(1, count + 1) for wave in (np.cos, np.sin)]
-    basis = np.stack([np.full(DIRECTIONS, math.sqrt(0.5)), *waves], axis=1) * math.sqrt(2 / DIRECTIONS)
-    return np.kron(basis, np.eye(CELLS)).astype(np.float32)
+        length = cells[:, 0]
+        return _unit(rows * np.tile(1 / np.sqrt(np.where(length > 0, length, 1)), cells.shape[1]))
+    length = np.sqrt(np.einsum("npc,npc->nc", cells, cells))
+    return _unit((cells * (CELL_CLIP / np.maximum(length, CELL_CLIP))[:, None]).reshape(rows.shape))
 
 
 def described(image: Image, features: Features, descriptors: F32) -> Features:
@@ -218,24 +153,48 @@ class _Pattern:
 
 
 def _pooled(
-    field: PolarField, xy: FloatArray, radius: FloatArray, angle: FloatArray, pattern: _Pattern, bins: int
+    field: GradientField, xy: FloatArray, radius: FloatArray, angle: FloatArray, pattern: _Pattern, bins: int
 ) -> F32:
     """(N, bins * cells): samples go to small pieces first, where each costs two additions, and pieces to cells."""
     from featreg.sar import histogram_kernels
 
-    height, width = field.magnitude.shape
-    flat = np.ascontiguousarray(field.magnitude).ravel(), np.ascontiguousarray(field.direction).ravel()
+    height, width = field.x.shape
+    magnitude, direction = (np.ascontiguousarray(part).ravel() for part in field.polar)
     pieces, cells = pattern.shares.shape
     out = np.empty((len(xy), bins * cells), np.float32)
     xy, radius, angle = (np.ascontiguousarray(values, np.float64) for values in (xy, radius, angle))
     for start in range(0, len(xy), BLOCK):
         rows = slice(start, start + BLOCK)
-        small = np.zeros((len(xy[rows]), bins, pieces), np.float32)
-        histogram_kernels.pool(
-            *flat, width, height, xy[rows], radius[rows], angle[rows], pattern.samples, pattern.piece, small
-        )
+        points = xy[rows], radius[rows], angle[rows]
+        small = np.zeros((len(points[0]), bins, pieces), np.float32)
+        histogram_kernels.pool(magnitude, direction, width, height, *points, pattern.samples, pattern.piece, small)
         out[rows] = (small.reshape(-1, pieces) @ pattern.shares).reshape(-1, bins * cells)
     return out
+
+
+def _harmonics(
+    field: GradientField, xy: FloatArray, radius: FloatArray, angle: FloatArray, pattern: _Pattern, count: int
+) -> F32:
+    """(N, (1 + 2 * count) * cells): the harmonics of every sample, then one product with the samples' shares."""
+    from featreg.sar import histogram_kernels
+
+    height, width = field.x.shape
+    gx, gy = (np.ascontiguousarray(part).ravel() for part in (field.x, field.y))
+    shares = pattern.shares[pattern.piece]
+    samples, cells = shares.shape
+    out = np.empty((len(xy), 1 + 2 * count, cells), np.float32)
+    xy, radius, angle = (np.ascontiguousarray(values, np.float64) for values in (xy, radius, angle))
+    block = np.empty((min(BLOCK, len(xy)), 1 + 2 * count, samples), np.float32)
+    for start in range(0, len(xy), BLOCK):
+        rows = slice(start, start + BLOCK)
+        points = xy[rows], radius[rows], angle[rows]
+        some = block[: len(points[0])]
+        histogram_kernels.sample_harmonics(gx, gy, width, height, *points, pattern.samples, some)
+        np.matmul(some.reshape(-1, samples), shares, out=out[rows].reshape(-1, cells))
+    k = np.arange(count + 1)
+    weight = np.sinc(k / DIRECTIONS) ** 2 * np.sqrt(np.where(k > 0, 2, 1) / DIRECTIONS)
+    out *= np.repeat(weight, 2)[1:, None].astype(np.float32)
+    return out.reshape(len(xy), out.shape[1] * cells)
 
 
 @lru_cache(maxsize=16)

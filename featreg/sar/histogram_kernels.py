@@ -1,4 +1,4 @@
-"""Compiled loops of gradient histograms: pooling around keypoints, and the peak of an orientation histogram."""
+"""Compiled loops of gradient histograms: samples around keypoints, and the peak of an orientation histogram."""
 
 from __future__ import annotations
 
@@ -72,6 +72,51 @@ def pool(
             second = first + 1 if first + 1 < bins else 0
             row[np.uint64(first * pieces + piece[k])] += strength[k] - upper
             row[np.uint64(second * pieces + piece[k])] += upper
+
+
+@compiled
+def _lengths(gx: F32, gy: F32, cosine: np.float32, sine: np.float32, length: F32) -> None:
+    """Turn gradients (y down) into lengths and unit vectors (y up) counted from an angle; none where there is none."""
+    for k in range(length.shape[0]):
+        length[k] = np.sqrt(gx[k] * gx[k] + gy[k] * gy[k])
+        inverse = np.float32(1) / max(length[k], np.float32(1e-30))
+        along, up = gx[k] * inverse, -gy[k] * inverse
+        gx[k] = cosine * along + sine * up
+        gy[k] = cosine * up - sine * along
+
+
+@compiled
+def _next_harmonic(along: F32, up: F32, before_c: F32, before_s: F32, out_c: F32, out_s: F32) -> None:
+    for k in range(along.shape[0]):
+        out_c[k] = before_c[k] * along[k] - before_s[k] * up[k]
+        out_s[k] = before_c[k] * up[k] + before_s[k] * along[k]
+
+
+@compiled
+def sample_harmonics(
+    gx: F32, gy: F32, width: int, height: int, xy: F64, radius: F64, angle: F64, pattern: F32, out: F32
+) -> None:
+    """Read the gradients around each point, and the harmonics of their directions.
+
+    `gx`, `gy` (H * W,) are the flat components, y down. `pattern` (2, S) holds the samples in units of the radius,
+    y up, and turns by the point's angle. `out` is (N, 1 + 2 K, S): the length m of each gradient, and m cos(k t),
+    m sin(k t) for k = 1 to K, t being its direction counter-clockwise from the point's own.
+    """
+    samples = pattern.shape[1]
+    at, none = np.empty(samples, np.int32), np.zeros(samples, np.float32)
+    along, up = np.empty(samples, np.float32), np.empty(samples, np.float32)
+    for i in range(xy.shape[0]):
+        turn = angle[i] % (2 * np.pi)
+        cosine, sine = np.float32(np.cos(turn)), np.float32(np.sin(turn))
+        c, s = np.float32(radius[i]) * cosine, np.float32(radius[i]) * sine
+        _look_up(np.float32(xy[i, 0]), np.float32(xy[i, 1]), c, s, width, height, pattern[0], pattern[1], at)
+        _gather(gx, at, along)
+        _gather(gy, at, up)
+        _lengths(along, up, cosine, sine, out[i, 0])
+        if out.shape[1] > 1:
+            _next_harmonic(along, up, out[i, 0], none, out[i, 1], out[i, 2])
+        for row in range(3, out.shape[1], 2):
+            _next_harmonic(along, up, out[i, row - 2], out[i, row - 1], out[i, row], out[i, row + 1])
 
 
 @compiled
