@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,14 +11,15 @@ from numpy.typing import NDArray
 from featreg.errors import ParameterError
 from featreg.interfaces import Detector
 from featreg.registry import register
-from featreg.sar.bilateral import BilateralSpace, bilateral_field, bilateral_levels
+from featreg.sar.bilateral import BilateralSpace, bilateral_extrema, bilateral_field, bilateral_levels
+from featreg.sar.gradient_field import from_base
 from featreg.sar.gradient_histograms import dominant_orientation
-from featreg.sar.maxima import local_maxima, quadratic_peak
+from featreg.sar.maxima import quadratic_peak
 from featreg.sar.pyramid import clear, pyramid, share_out, to_base
-from featreg.types import BoolArray, Features, FloatArray, Image
+from featreg.types import Features, FloatArray, Image, IntArray
 
 F32 = NDArray[np.float32]
-Found = tuple[FloatArray, FloatArray]
+Found = tuple[IntArray, FloatArray]
 
 
 @register("bf-sift")
@@ -35,6 +37,8 @@ class BfSift(Detector):
     threshold : least difference of log-amplitude
     quota_decay : a scale gets `quota_decay` times fewer keypoints than the finer one before it
     support : radius, in units of the scale's sigma, from which a keypoint is described; it must be free of nodata
+    orientation_scale : the orientation is that of gradients whose sigma is so many times that of the keypoint, within
+        half of so many times the support
 
     Notes
     -----
@@ -60,6 +64,7 @@ class BfSift(Detector):
     threshold: float = 0.04
     quota_decay: float = 2.0
     support: float = 8.0
+    orientation_scale: float = 1.5
 
     def __post_init__(self) -> None:
         if min(self.n_features, self.octaves, self.intervals) < 1 or not self.quota_decay >= 1:
@@ -67,10 +72,11 @@ class BfSift(Detector):
                 "bf-sift needs n_features, octaves, intervals and quota_decay >= 1, got "
                 f"{self.n_features}, {self.octaves}, {self.intervals} and {self.quota_decay}"
             )
-        if not (self.sigma > 0 and self.tone > 0 and self.support > 0 and self.threshold >= 0):
+        positive = (self.sigma, self.tone, self.support, self.orientation_scale)
+        if not (all(value > 0 for value in positive) and self.threshold >= 0):
             raise ParameterError(
-                "bf-sift needs sigma, tone and support > 0 and threshold >= 0, got "
-                f"{self.sigma}, {self.tone}, {self.support} and {self.threshold}"
+                "bf-sift needs sigma, tone, support and orientation_scale > 0 and threshold >= 0, got "
+                f"{', '.join(map(str, positive))} and {self.threshold}"
             )
 
     @property
@@ -79,21 +85,22 @@ class BfSift(Detector):
         return self.support * self._space().sigma_of(self.intervals) * 2.0 ** (self.octaves - 1)
 
     def detect_features(self, image: Image) -> Features:
+        space = self._space()
         chain = pyramid(image, self.octaves, 2.0)
         found = [part for level in chain for part in self._octave(level)]
-        counts = share_out(self.n_features, [len(score) for _, score in found], self.quota_decay)
+        counts = share_out(self.n_features, [len(flat) for flat, _ in found], self.quota_decay)
         parts = []
-        for number, ((at, score), count) in enumerate(zip(found, counts, strict=True)):
+        for number, ((flat, difference), count) in enumerate(zip(found, counts, strict=True)):
             octave, interval = divmod(number, self.intervals)
-            level, xy = chain[octave], at[:count]
-            field = bilateral_field(level, self._space(), interval + 1)
-            sigma = self._space().sigma_of(interval + 1)
+            level = chain[octave]
+            xy = to_base(_places(bilateral_levels(level, space)[interval + 1 : interval + 3], flat[:count]), level, image)
+            scale = self.support * space.sigma_of(interval + 1) * image.shape[1] / level.shape[1]
             parts.append(
                 Features(
-                    xy=to_base(xy, level, image),
-                    scale=np.full(len(xy), self.support * sigma * image.shape[1] / level.shape[1]),
-                    angle=dominant_orientation(field, xy, np.full(len(xy), 0.5 * self.support * sigma)),
-                    score=score[:count],
+                    xy=xy,
+                    scale=np.full(len(xy), scale),
+                    angle=self._orientation(image, chain, number, xy, scale),
+                    score=np.abs(difference[:count]),
                     level=np.full(len(xy), number),
                 )
             )
@@ -104,28 +111,40 @@ class BfSift(Detector):
         return BilateralSpace(self.intervals, float(self.sigma), float(self.tone), self.exact)
 
     def _octave(self, level: Image) -> list[Found]:
-        """Position in pixels of the level and strength of the extrema of each interval, the strongest first."""
-        import cv2
-
-        smooth = bilateral_levels(level, self._space())
-        differences = smooth[1:] - smooth[:-1]
-        around = np.ones((3, 3), np.uint8)
+        """Flat index (N,) and difference of levels (N,) of the extrema of each interval, the strongest first."""
+        space = self._space()
+        smooth = bilateral_levels(level, space)
         found = []
-        for sign in (1, -1):
-            tops = [cv2.dilate(sign * difference, around) for difference in differences]
-            for k in range(1, self.intervals + 1):
-                here = sign * differences[k]
-                free = clear(level, self.support * self._space().sigma_of(k))
-                found.append(self._peaks(here, free & (here >= tops[k - 1]) & (here >= tops[k + 1])))
-        return [_merged(*pair) for pair in zip(found[: self.intervals], found[self.intervals :], strict=True)]
+        for k, flat in enumerate(bilateral_extrema(level, space, self.threshold), start=1):
+            flat = flat[clear(level, self.support * space.sigma_of(k)).ravel()[flat]]
+            difference = smooth[k + 1].ravel()[flat] - smooth[k].ravel()[flat]
+            strength = np.abs(difference)
+            if len(flat) > self.n_features:
+                kept = strength >= np.partition(strength, -self.n_features)[-self.n_features]
+                flat, difference, strength = flat[kept], difference[kept], strength[kept]
+            best = np.argsort(-strength, kind="stable")[: self.n_features]
+            found.append((flat[best], difference[best].astype(np.float64)))
+        return found
 
-    def _peaks(self, difference: F32, allowed: BoolArray) -> Found:
-        at = local_maxima(difference, allowed, self.threshold, self.n_features)
-        return quadratic_peak(difference, at), difference[at[:, 1], at[:, 0]].astype(np.float64)
+    def _orientation(
+        self, image: Image, chain: tuple[Image, ...], number: int, xy: FloatArray, scale: float
+    ) -> FloatArray:
+        """(N,) direction of the gradients around points (N, 2) of the image, of one scale, found in one interval."""
+        coarser = number + round(math.log2(self.orientation_scale) * self.intervals)
+        octave, interval = divmod(min(max(0, coarser), len(chain) * self.intervals - 1), self.intervals)
+        level = chain[octave]
+        field = bilateral_field(level, self._space(), interval + 1)
+        radius = 0.5 * self.orientation_scale * scale * level.shape[1] / image.shape[1]
+        return dominant_orientation(field, from_base(xy, level, image), np.full(len(xy), radius))
 
 
-def _merged(first: Found, second: Found) -> Found:
-    """Both sets, the strongest first."""
-    xy, score = (np.concatenate(pair) for pair in zip(first, second, strict=True))
-    order = np.argsort(-score, kind="stable")
-    return xy[order], score[order]
+def _places(pair: F32, flat: IntArray) -> FloatArray:
+    """(N, 2) places between the pixels of extrema of the difference of two levels (2, H, W), by their flat indices."""
+    width = pair.shape[2]
+    near = flat[:, None] + np.array([dy * width + dx for dy in (-1, 0, 1) for dx in (-1, 0, 1)])
+    around = pair[1].ravel()[near] - pair[0].ravel()[near]
+    around = np.where(around[:, 4:5] < 0, -around, around)
+    # The neighbourhoods one below the other are a map with the extrema in its middle column.
+    middle = np.column_stack([np.ones(len(flat), np.int64), 3 * np.arange(len(flat)) + 1])
+    y, x = np.divmod(flat, width)
+    return np.column_stack([x, y]) + (quadratic_peak(around.reshape(-1, 3), middle) - middle)

@@ -153,8 +153,9 @@ def noise_level(image: Image) -> float:
 
 def _noise_level(image: Image) -> float:
     view, mask = log_amplitude(image), image.mask
-    step = max(1, math.isqrt(view.size // SAMPLE))
-    across = np.abs(view[::step, 1:] - view[::step, :-1])[mask[::step, 1:] & mask[::step, :-1]]
-    down = np.abs(view[1:, ::step] - view[:-1, ::step])[mask[1:, ::step] & mask[:-1, ::step]]
-    both = np.concatenate([across[::step], down[::step]])
+    step = max(1, math.isqrt(2 * view.size // SAMPLE))
+    every = slice(None, None, step)
+    across = (view[every, 1::step] - view[every, :-1:step])[mask[every, 1::step] & mask[every, :-1:step]]
+    down = (view[1::step, every] - view[:-1:step, every])[mask[1::step, every] & mask[:-1:step, every]]
+    both = np.abs(np.concatenate([across, down]))
     return max(1e-3, 1.4826 / math.sqrt(2) * float(np.median(both))) if both.size else 1e-3

@@ -99,19 +99,13 @@ def smooth(image: F32, unit: np.float32, steps: I64, spatial: F32, rows: I64, co
 
 
 @compiled
-def _difference(finer: F32, coarser: F32, out: F32) -> None:
-    for k in range(out.shape[0]):
-        out[k] = coarser[k] - finer[k]
-
-
-@compiled
-def _range_along(row: F32, low: F32, high: F32) -> None:
-    """Least and greatest of each pixel and its neighbours on the row, from the second pixel on."""
-    for column in range(row.shape[0] - 2):
-        k = np.uint64(column)
-        a, b, c = row[k], row[k + np.uint64(1)], row[k + np.uint64(2)]
-        low[k + np.uint64(1)] = min(a, min(b, c))
-        high[k + np.uint64(1)] = max(a, max(b, c))
+def _differences(a: F32, b: F32, c: F32, d: F32, here: F32, low: F32, high: F32) -> None:
+    """From a row of four levels: the middle one of their three differences, the least and the greatest of them."""
+    for k in range(here.shape[0]):
+        before, now, after = b[k] - a[k], c[k] - b[k], d[k] - c[k]
+        here[k] = now
+        low[k] = min(before, min(now, after))
+        high[k] = max(before, max(now, after))
 
 
 @compiled
@@ -128,10 +122,12 @@ def _greatest(a: F32, b: F32, c: F32, out: F32) -> None:
 
 @compiled
 def _mark(here: F32, low: F32, high: F32, threshold: np.float32, out: U8) -> None:
-    """1 at what is above the threshold and nowhere below `high`, or beneath minus the threshold and `low`."""
-    for k in range(out.shape[0]):
-        top = (here[k] >= high[k]) & (here[k] > threshold)
-        out[k] = np.uint8(top | ((here[k] <= low[k]) & (here[k] < -threshold)))
+    """1 where none of `high` around is above a value above the threshold, or none of `low` beneath one below minus it."""
+    for column in range(here.shape[0] - 2):
+        left = np.uint64(column)
+        k, right = left + np.uint64(1), left + np.uint64(2)
+        top = (here[k] >= max(high[left], max(high[k], high[right]))) & (here[k] > threshold)
+        out[k] = np.uint8(top | ((here[k] <= min(low[left], min(low[k], low[right]))) & (here[k] < -threshold)))
 
 
 @compiled
@@ -148,35 +144,32 @@ def extrema(levels: F32, threshold: np.float32, at: I64, counts: I64) -> None:
     `levels` (K + 3, H, W) give K + 2 differences, each the coarser level less the finer; the K inner ones are searched,
     but for the outermost rows and columns, for what exceeds the threshold on either side of 0. Of equal neighbours in
     one difference the first in reading order counts. `at` (K, room) takes flat indices in reading order, `counts` (K,)
-    how many; a pixel in two can be one.
+    how many.
     """
-    number, height, width = levels.shape[0] - 1, levels.shape[1], levels.shape[2]
-    rows = np.zeros((3, 3, number, width), np.float32)  # of the last three rows: difference, least, greatest along it
-    low, high = np.zeros((number, width), np.float32), np.zeros((number, width), np.float32)
+    height, width = levels.shape[1], levels.shape[2]
+    # Of the last three rows, one after the other.
+    here = np.empty((counts.shape[0], 3, width), np.float32)
+    low, high = np.empty_like(here), np.empty_like(here)
     least, greatest = np.empty(width, np.float32), np.empty(width, np.float32)
     marks = np.zeros((width + 7) // 8 * 8, np.uint8)
     eights = marks.view(np.uint64)
     counts[:] = 0
     for y in range(height):
-        now = rows[y % 3]
-        for j in range(number):
-            _difference(levels[j, y], levels[j + 1, y], now[0, j])
-            _range_along(now[0, j], now[1, j], now[2, j])
-        if y < 2:
-            continue
-        one, two = rows[(y + 1) % 3], rows[(y + 2) % 3]
-        for j in range(number):
-            _least(one[1, j], two[1, j], now[1, j], low[j])
-            _greatest(one[2, j], two[2, j], now[2, j], high[j])
-        for k in range(1, number - 1):
-            _least(low[k - 1], low[k], low[k + 1], least)
-            _greatest(high[k - 1], high[k], high[k + 1], greatest)
-            _mark(two[0, k], least, greatest, threshold, marks[:width])
-            marks[0] = marks[width - 1] = np.uint8(0)
+        for k in range(counts.shape[0]):
+            _differences(
+                levels[k, y], levels[k + 1, y], levels[k + 2, y], levels[k + 3, y],
+                here[k, y % 3], low[k, y % 3], high[k, y % 3],
+            )  # fmt: skip
+            if y < 2:
+                continue
+            _least(low[k, 0], low[k, 1], low[k, 2], least)
+            _greatest(high[k, 0], high[k, 1], high[k, 2], greatest)
+            above, row = here[k, (y + 1) % 3], here[k, (y + 2) % 3]
+            _mark(row, least, greatest, threshold, marks[:width])
             for e in range(eights.shape[0]):
                 if eights[e] == 0:
                     continue
-                for x in range(8 * e, min(8 * e + 8, width)):
-                    if marks[x] != 0 and _is_first(one[0, k], two[0, k], x):
-                        at[k - 1, counts[k - 1]] = (y - 1) * width + x
-                        counts[k - 1] += 1
+                for x in range(8 * e, 8 * e + 8):
+                    if marks[x] != 0 and _is_first(above, row, x):
+                        at[k, counts[k]] = (y - 1) * width + x
+                        counts[k] += 1

@@ -33,8 +33,11 @@ LENGTH = CELLS * DIRECTIONS
 DISC, RING = 0.25, 0.73
 # Pieces of equal weight into which the patterns are cut.
 DISC_RINGS, PIECE_RINGS = 8, 8
-# Points whose pieces are held at a time.
+# Points whose samples are held at a time, at most.
 BLOCK = 64
+# Multiplications of one matrix product, at most: so many OpenBLAS does on one thread. Waking others costs more than
+# they save, and many times as much on a busy machine.
+PRODUCT = 1 << 18
 # No component of a unit histogram may exceed the first (Lowe), no cell of unit harmonics the second: a few strong edges
 # must not decide alone.
 CLIP, CELL_CLIP = 0.2, 0.3
@@ -163,8 +166,9 @@ def _pooled(
     pieces, cells = pattern.shares.shape
     out = np.empty((len(xy), bins * cells), np.float32)
     xy, radius, angle = (np.ascontiguousarray(values, np.float64) for values in (xy, radius, angle))
-    for start in range(0, len(xy), BLOCK):
-        rows = slice(start, start + BLOCK)
+    count = _points_at_once(bins * pattern.shares.size)
+    for start in range(0, len(xy), count):
+        rows = slice(start, start + count)
         points = xy[rows], radius[rows], angle[rows]
         small = np.zeros((len(points[0]), bins, pieces), np.float32)
         histogram_kernels.pool(magnitude, direction, width, height, *points, pattern.samples, pattern.piece, small)
@@ -184,9 +188,9 @@ def _harmonics(
     samples, cells = shares.shape
     out = np.empty((len(xy), 1 + 2 * count, cells), np.float32)
     xy, radius, angle = (np.ascontiguousarray(values, np.float64) for values in (xy, radius, angle))
-    block = np.empty((min(BLOCK, len(xy)), 1 + 2 * count, samples), np.float32)
-    for start in range(0, len(xy), BLOCK):
-        rows = slice(start, start + BLOCK)
+    block = np.empty((_points_at_once(out.shape[1] * shares.size), out.shape[1], samples), np.float32)
+    for start in range(0, len(xy), len(block)):
+        rows = slice(start, start + len(block))
         points = xy[rows], radius[rows], angle[rows]
         some = block[: len(points[0])]
         histogram_kernels.sample_harmonics(gx, gy, width, height, *points, pattern.samples, some)
@@ -195,6 +199,11 @@ def _harmonics(
     weight = np.sinc(k / DIRECTIONS) ** 2 * np.sqrt(np.where(k > 0, 2, 1) / DIRECTIONS)
     out *= np.repeat(weight, 2)[1:, None].astype(np.float32)
     return out.reshape(len(xy), out.shape[1] * cells)
+
+
+def _points_at_once(multiplications: int) -> int:
+    """So many points, each of which takes so many multiplications, go into one matrix product."""
+    return max(1, min(BLOCK, PRODUCT // multiplications))
 
 
 @lru_cache(maxsize=16)
