@@ -49,10 +49,12 @@ class BfSift(Detector):
 
     Departures. The filter works on the logarithm of the amplitude, in which speckle is additive, and its range is
     measured in units of the noise, since a filter that keeps every step above the noise keeps single-look speckle. The
-    default cascade (see `featreg.sar.bilateral`) is fast and not the same filter; `exact` is the paper's. The paper
-    skips the finest scales; here a budget favours them, as their keypoints are placed best. Octaves are halvings of the
-    amplitude, not of the smoothed image. The position is that of a quadratic surface in space; the scale stays that of
-    the level. No contrast or edge test: the budget keeps the strongest. One orientation a point.
+    default cascade (see `featreg.sar.bilateral`) is fast and not the same filter; `exact` is the paper's. Windows of
+    whole pixels, cut at 1.5 sigma, make the steps between levels uneven, so that some intervals hold few extrema. The
+    paper skips the finest scales; here a budget favours them, as their keypoints are placed best. Octaves are halvings
+    of the amplitude, not of the smoothed image. The position is that of a quadratic surface in space; the scale stays
+    that of the level. No contrast or edge test: the budget keeps the strongest. One orientation a point, from
+    gradients half as coarse again as the point, in which less speckle is left; `orientation_scale` 1 is SIFT's.
     """
 
     n_features: int = 5000
@@ -90,17 +92,18 @@ class BfSift(Detector):
         found = [part for level in chain for part in self._octave(level)]
         counts = share_out(self.n_features, [len(flat) for flat, _ in found], self.quota_decay)
         parts = []
-        for number, ((flat, difference), count) in enumerate(zip(found, counts, strict=True)):
+        for number, ((flat, score), count) in enumerate(zip(found, counts, strict=True)):
             octave, interval = divmod(number, self.intervals)
             level = chain[octave]
-            xy = to_base(_places(bilateral_levels(level, space)[interval + 1 : interval + 3], flat[:count]), level, image)
+            finer, coarser = bilateral_levels(level, space)[interval + 1 : interval + 3]
+            xy = to_base(_places(finer, coarser, flat[:count]), level, image)
             scale = self.support * space.sigma_of(interval + 1) * image.shape[1] / level.shape[1]
             parts.append(
                 Features(
                     xy=xy,
                     scale=np.full(len(xy), scale),
                     angle=self._orientation(image, chain, number, xy, scale),
-                    score=np.abs(difference[:count]),
+                    score=score[:count],
                     level=np.full(len(xy), number),
                 )
             )
@@ -111,25 +114,26 @@ class BfSift(Detector):
         return BilateralSpace(self.intervals, float(self.sigma), float(self.tone), self.exact)
 
     def _octave(self, level: Image) -> list[Found]:
-        """Flat index (N,) and difference of levels (N,) of the extrema of each interval, the strongest first."""
+        """Flat indices (N,) and strength (N,) of the extrema of each interval, the strongest first."""
         space = self._space()
         smooth = bilateral_levels(level, space)
         found = []
         for k, flat in enumerate(bilateral_extrema(level, space, self.threshold), start=1):
             flat = flat[clear(level, self.support * space.sigma_of(k)).ravel()[flat]]
-            difference = smooth[k + 1].ravel()[flat] - smooth[k].ravel()[flat]
-            strength = np.abs(difference)
+            strength = np.abs(smooth[k + 1].ravel()[flat] - smooth[k].ravel()[flat])
             if len(flat) > self.n_features:
                 kept = strength >= np.partition(strength, -self.n_features)[-self.n_features]
-                flat, difference, strength = flat[kept], difference[kept], strength[kept]
+                flat, strength = flat[kept], strength[kept]
             best = np.argsort(-strength, kind="stable")[: self.n_features]
-            found.append((flat[best], difference[best].astype(np.float64)))
+            found.append((flat[best], strength[best].astype(np.float64)))
         return found
 
     def _orientation(
         self, image: Image, chain: tuple[Image, ...], number: int, xy: FloatArray, scale: float
     ) -> FloatArray:
         """(N,) direction of the gradients around points (N, 2) of the image, of one scale, found in one interval."""
+        if not len(xy):
+            return np.zeros(0)
         coarser = number + round(math.log2(self.orientation_scale) * self.intervals)
         octave, interval = divmod(min(max(0, coarser), len(chain) * self.intervals - 1), self.intervals)
         level = chain[octave]
@@ -138,11 +142,11 @@ class BfSift(Detector):
         return dominant_orientation(field, from_base(xy, level, image), np.full(len(xy), radius))
 
 
-def _places(pair: F32, flat: IntArray) -> FloatArray:
-    """(N, 2) places between the pixels of extrema of the difference of two levels (2, H, W), by their flat indices."""
-    width = pair.shape[2]
+def _places(finer: F32, coarser: F32, flat: IntArray) -> FloatArray:
+    """(N, 2) places between the pixels of extrema of the difference of two levels (H, W), by their flat indices."""
+    width = finer.shape[1]
     near = flat[:, None] + np.array([dy * width + dx for dy in (-1, 0, 1) for dx in (-1, 0, 1)])
-    around = pair[1].ravel()[near] - pair[0].ravel()[near]
+    around = coarser.ravel()[near] - finer.ravel()[near]
     around = np.where(around[:, 4:5] < 0, -around, around)
     # The neighbourhoods one below the other are a map with the extrema in its middle column.
     middle = np.column_stack([np.ones(len(flat), np.int64), 3 * np.arange(len(flat)) + 1])

@@ -14,7 +14,13 @@ import featreg
 from featreg import registry
 from featreg.errors import ParameterError
 from featreg.io import as_image
-from featreg.sar.bilateral import BilateralSpace, bilateral_field, bilateral_levels, noise_level
+from featreg.sar.bilateral import (
+    BilateralSpace,
+    bilateral_extrema,
+    bilateral_field,
+    bilateral_levels,
+    noise_level,
+)
 from featreg.sar.speckle import log_amplitude
 from featreg.simulate import SimulatedPair
 from featreg.types import Features, Image
@@ -33,11 +39,14 @@ def describe(picture: Image, features: Features, **parameters: Any) -> Features:
 # Scale space
 
 
-@pytest.mark.parametrize(("looks", "wanted"), [(1.0, 0.64), (4.0, 0.266), (16.0, 0.126)])
+@pytest.mark.parametrize(("looks", "wanted"), [(1.0, 0.576), (4.0, 0.259), (16.0, 0.126)])
 def test_the_noise_is_that_of_the_speckle(looks: float, wanted: float) -> None:
-    """Standard deviation of the log amplitude of L-look speckle: half the root of trigamma(L)."""
+    """By the median difference of log-amplitudes, for one look 1.4826 / sqrt(2) * log(3) / 2 of a logistic law.
+
+    The standard deviation itself, half the root of trigamma(L), is 0.641, 0.266 and 0.127.
+    """
     speckle = np.sqrt(np.random.default_rng(0).gamma(looks, 1 / looks, (300, 300))).astype(np.float32)
-    assert noise_level(as_image(speckle)) == pytest.approx(wanted, rel=0.1)
+    assert noise_level(as_image(speckle)) == pytest.approx(wanted, rel=0.05)
 
 
 @pytest.mark.parametrize("exact", [True, False])
@@ -51,6 +60,104 @@ def test_levels_get_smoother_and_keep_a_strong_edge(exact: bool) -> None:
     assert (np.diff(spread) < 0).all()
     jump = levels[:, 20:100, 61] - levels[:, 20:100, 58]
     assert (jump.mean(axis=1) > 0.9 * math.log(20)).all()
+
+
+@pytest.mark.parametrize("shape", [(50, 61), (16, 16), (17, 128)], ids=str)
+@pytest.mark.parametrize(("sigma", "tone"), [(1.2, 5.0), (4.0, 0.5), (12.0, 2.0)])
+def test_the_first_level_of_the_cascade_is_the_weighted_mean_that_it_is_said_to_be(
+    shape: tuple[int, int], sigma: float, tone: float
+) -> None:
+    """Against the sums over the disc, pixel by pixel, also where the window is larger than the image."""
+    amplitude = np.sqrt(np.random.default_rng(0).gamma(1.0, 1.0, shape)).astype(np.float32)
+    picture = as_image(amplitude)
+    found = bilateral_levels(picture, BilateralSpace(sigma=sigma, tone=tone))[0]
+    image, scale, reach = log_amplitude(picture).astype(np.float64), tone * noise_level(picture), round(1.5 * sigma)
+    padded = np.pad(image, reach, mode="reflect")
+    total, weights = np.zeros(shape), np.zeros(shape)
+    for dy in range(-reach, reach + 1):
+        for dx in range(-reach, reach + 1):
+            if dx * dx + dy * dy > reach * reach:
+                continue
+            value = padded[reach + dy :, reach + dx :][: shape[0], : shape[1]]
+            far = np.maximum(0, 1 - ((value - image) / scale) ** 2 / 16) ** 8
+            weight = math.exp(-(dx * dx + dy * dy) / (2 * sigma * sigma)) * far
+            total += weight * value
+            weights += weight
+    np.testing.assert_allclose(found, total / weights, atol=1e-5)
+
+
+def test_the_cascade_is_opencvs_bilateral_filter_again_and_again(sar_texture: Texture) -> None:
+    """Its weight of differences falls off a little sooner than a Gaussian, which shows at single pixels only."""
+    import cv2
+
+    picture = as_image(sar_texture(120, 150))
+    space = BilateralSpace()
+    wanted: Any = log_amplitude(picture)
+    held = 0.0
+    for k, found in enumerate(bilateral_levels(picture, space)):
+        missing = math.sqrt(space.sigma_of(k) ** 2 - held**2)
+        side, tone = 2 * round(1.5 * missing) + 1, space.tone * noise_level(picture)
+        wanted = cv2.bilateralFilter(wanted, side, tone, missing, borderType=cv2.BORDER_REFLECT_101)
+        held = space.sigma_of(k)
+        assert np.abs(found - wanted).max() < 0.05
+        assert (found - wanted).std() < 0.01 * wanted.std()
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_the_levels_of_a_mirrored_image_are_mirrored(axis: int) -> None:
+    """Of a periodic image, whose noise is read from the same differences either way."""
+    row = np.random.default_rng(0).uniform(0.5, 1.5, (41, 47))
+    amplitude = (row + row[::-1] + row[:, ::-1] + row[::-1, ::-1]) * np.linspace(1, 3, 47)
+    space = BilateralSpace(tone=1e4)
+    first, second = (
+        bilateral_levels(as_image(a.astype(np.float32)), space) for a in (amplitude, np.flip(amplitude, axis))
+    )
+    np.testing.assert_allclose(first, np.flip(second, axis + 1), atol=1e-6)
+
+
+@pytest.mark.parametrize("tone", [1e-40, 1e40])
+def test_the_tone_may_be_next_to_nothing_and_without_end(tone: float, sar_texture: Texture) -> None:
+    picture = as_image(sar_texture(60, 60))
+    levels = bilateral_levels(picture, BilateralSpace(tone=tone))
+    assert np.isfinite(levels).all()
+    unchanged = np.array_equal(levels[0], log_amplitude(picture))
+    assert unchanged == (tone < 1)
+
+
+@pytest.mark.parametrize("tied", [False, True])
+@pytest.mark.parametrize("shape", [(4, 90, 67), (6, 64, 200), (5, 3, 9), (5, 2, 50), (5, 50, 2)], ids=str)
+def test_extrema_are_those_among_26_neighbours(shape: tuple[int, int, int], tied: bool) -> None:
+    """Against the filters of scipy, also where many neighbours are equal, of which the first counts."""
+    from scipy.ndimage import maximum_filter
+
+    from featreg.sar import bilateral_kernels
+
+    rng = np.random.default_rng(0)
+    levels = (rng.integers(0, 4, shape) if tied else rng.normal(size=shape)).astype(np.float32)
+    differences = levels[1:] - levels[:-1]
+    earlier = np.array([[1, 1, 1], [1, 0, 0], [0, 0, 0]], np.bool_)
+    at, counts = np.empty((shape[0] - 3, shape[1] * shape[2]), np.int64), np.empty(shape[0] - 3, np.int64)
+    bilateral_kernels.extrema(levels, np.float32(0.5), at, counts)
+    for k, (flat, count) in enumerate(zip(at, counts, strict=True), start=1):
+        wanted = np.zeros(shape[1:], np.bool_)
+        for sign in (1, -1):
+            here = sign * differences[k]
+            top = maximum_filter(sign * differences[k - 1 : k + 2], size=3, mode="nearest")[1]
+            wanted |= (here >= top) & (here > maximum_filter(here, footprint=earlier)) & (here > 0.5)
+        wanted[[0, -1]] = False
+        wanted[:, [0, -1]] = False
+        np.testing.assert_array_equal(flat[:count], np.flatnonzero(wanted))
+    assert counts.all() or min(shape) < 4
+
+
+def test_extrema_of_an_image_lie_in_its_own_levels(sar_texture: Texture) -> None:
+    picture, space = as_image(sar_texture(60, 80)), BilateralSpace()
+    levels = bilateral_levels(picture, space)
+    found = bilateral_extrema(picture, space, 0.05)
+    assert len(found) == space.intervals
+    assert sum(map(len, found)) > 0
+    for k, flat in enumerate(found, start=1):
+        assert (np.abs((levels[k + 1] - levels[k]).ravel()[flat]) > 0.05).all()
 
 
 def test_a_wide_tone_is_a_gaussian(sar_texture: Texture) -> None:
@@ -85,6 +192,25 @@ def test_blobs_are_found_at_their_centre_and_scale(sign: int) -> None:
         np.testing.assert_allclose(found.xy[0], [80.3, 75.6], atol=0.25)
         scales[sigma] = found.scale[0]
     assert scales[3.5] > scales[2.0]
+
+
+def test_gain_changes_nothing(sar_texture: Texture) -> None:
+    amplitude = sar_texture(200, 200)
+    first, second = (detect(as_image(a), n_features=500) for a in (amplitude, amplitude * np.float32(1000)))
+    apart = np.hypot(*(first.xy[:, None] - second.xy[None]).transpose(2, 0, 1)).min(axis=1)
+    assert (apart < 0.01).mean() > 0.99
+
+
+def test_the_orientation_is_that_of_a_ramp_at_any_scale() -> None:
+    """A blob on a slope that climbs towards 30 degrees, which outweighs it."""
+    y, x = np.mgrid[:160, :160] - 80.0
+    slope = 0.03 * (x * math.cos(math.pi / 6) - y * math.sin(math.pi / 6))
+    picture = as_image(np.exp(slope + 0.05 * np.exp(-(x**2 + y**2) / 8)).astype(np.float32))
+    for scale in (0.5, 1.0, 1.5, 10.0):
+        found = detect(picture, tone=1e4, support=4.0, threshold=0.005, orientation_scale=scale)
+        middle = np.hypot(*(found.xy - 80).T) < 1
+        assert middle.any()
+        np.testing.assert_allclose(found.angle[middle] % (2 * math.pi), math.pi / 6, atol=0.1)
 
 
 def test_the_budget_is_kept_and_the_best_come_first(sar_texture: Texture) -> None:
@@ -158,6 +284,7 @@ def test_a_known_warp_is_found(pair: SimulatedPair, name: str) -> None:
         ("detector", {"sigma": float("nan")}),
         ("detector", {"threshold": -1.0}),
         ("detector", {"quota_decay": 0.9}),
+        ("detector", {"orientation_scale": 0.0}),
         ("descriptor", {"support": 0.0}),
         ("descriptor", {"coarser": -1.0}),
         ("descriptor", {"step": 1.0}),

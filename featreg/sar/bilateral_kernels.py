@@ -17,22 +17,23 @@ RUN = 2048
 
 
 @inlined
-def _weight(difference: np.float32, spatial: np.float32) -> np.float32:
-    """Spatial weight times (1 - d^2)^8, which is exp(-8 d^2) but for a tail that ends at d = 1; no call, no branch."""
+def _weight(difference: np.float32) -> np.float32:
+    """(1 - d^2)^8, which is exp(-8 d^2) but for a tail that ends at d = 1; no call, no branch."""
     q = np.float32(1) - difference * difference
     q = q if q > np.float32(0) else np.float32(0)
     q *= q
     q *= q
-    return spatial * (q * q)
+    return q * q
 
 
 @compiled
-def _add_pair(centre: F32, before: F32, after: F32, spatial: np.float32, total: F32, weights: F32) -> None:
+def _add_four(centre: F32, a: F32, b: F32, c: F32, d: F32, spatial: np.float32, total: F32, weights: F32) -> None:
+    """Add four equally distant neighbours, `b` the one opposite to `a` and `d` to `c`."""
     for k in range(centre.shape[0]):
-        d0, d1 = before[k] - centre[k], after[k] - centre[k]
-        w0, w1 = _weight(d0, spatial), _weight(d1, spatial)
-        total[k] += w0 * d0 + w1 * d1
-        weights[k] += w0 + w1
+        da, db, dc, dd = a[k] - centre[k], b[k] - centre[k], c[k] - centre[k], d[k] - centre[k]
+        wa, wb, wc, wd = _weight(da), _weight(db), _weight(dc), _weight(dd)
+        total[k] += spatial * ((wa * da + wb * db) + (wc * dc + wd * dd))
+        weights[k] += spatial * ((wa + wb) + (wc + wd))
 
 
 @compiled
@@ -64,9 +65,9 @@ def _sum(a: F32, b: F32, out: F32) -> None:
 def smooth(image: F32, unit: np.float32, steps: I64, spatial: F32, rows: I64, columns: I64, out: F32) -> None:
     """Fill `out` with the bilateral mean of an (H, W) image.
 
-    `unit` is the difference from which on weights are 0. `steps` (P, 2) are the neighbours dy, dx of one half of the
-    window, each of which stands for the opposite one too, and `spatial` (P,) their weights beside 1 for the pixel
-    itself. `rows` (H + 2 r,) and `columns` (W + 2 r,) say which ones stand in for those outside.
+    `unit` is the difference from which on weights are 0. `steps` (Q, 2, 2) are the neighbours (dy, dx), two at a time
+    that are equally distant and stand for the opposite two as well; `spatial` (Q,) are their weights, that of the pixel
+    itself being 1. `rows` (H + 2 r,) and `columns` (W + 2 r,) say which ones stand in for those outside.
 
     The rows of a padded strip are summed as one long run, in which a neighbour is a fixed step away; what the padding
     between the rows gives is thrown away.
@@ -89,10 +90,14 @@ def smooth(image: F32, unit: np.float32, steps: I64, spatial: F32, rows: I64, co
         for start in range(0, length, RUN):
             n, at = min(RUN, length - start), first + start
             _start(total[:n], weights[:n])
-            for p in range(steps.shape[0]):
-                step = steps[p, 0] * wide + steps[p, 1]
-                before, after = strip[at - step : at - step + n], strip[at + step : at + step + n]
-                _add_pair(strip[at : at + n], before, after, spatial[p], total[:n], weights[:n])
+            for q in range(steps.shape[0]):
+                i, j = steps[q, 0, 0] * wide + steps[q, 0, 1], steps[q, 1, 0] * wide + steps[q, 1, 1]
+                _add_four(
+                    strip[at : at + n],
+                    strip[at - i : at - i + n], strip[at + i : at + i + n],
+                    strip[at - j : at - j + n], strip[at + j : at + j + n],
+                    spatial[q], total[:n], weights[:n],
+                )  # fmt: skip
             _quotient(total[:n], weights[:n], unit, change[start : start + n])
         for k in range(count):
             _sum(image[top + k], change[k * wide : k * wide + width], out[top + k])
@@ -122,7 +127,7 @@ def _greatest(a: F32, b: F32, c: F32, out: F32) -> None:
 
 @compiled
 def _mark(here: F32, low: F32, high: F32, threshold: np.float32, out: U8) -> None:
-    """1 where none of `high` around is above a value above the threshold, or none of `low` beneath one below minus it."""
+    """1 where a value above the threshold is not below `high` around, or one below minus it not above `low`."""
     for column in range(here.shape[0] - 2):
         left = np.uint64(column)
         k, right = left + np.uint64(1), left + np.uint64(2)
