@@ -61,7 +61,7 @@ class SarHarris(Detector):
     SAR-Harris matrix, smoothed by a Gaussian of sqrt(2) alpha, its response with d = 0.04, and local maxima in space
     of each scale alpha_k = 2 * 2^(k / 3), k = 0 to 7.
 
-    Departures. The defaults begin at alpha = 1 and smooth by 0.7 alpha, since the position of a maximum is as blurred
+    Departures. The defaults begin at alpha = 1 and smooth by 0.8 alpha, since the position of a maximum is as blurred
     as the response, and finer scales get a larger share of the budget: on Sentinel-1 pairs more than three times as
     many correct matches as with the paper's values, which are parameters. One-sided means exclude the pixel itself.
     Coarse scales are computed on an image halved one or more times, where their alpha is at least 1.25 pixels. The
@@ -73,7 +73,7 @@ class SarHarris(Detector):
     scales: int = 8
     alpha: float = 1.0
     factor: float = 2 ** (1 / 3)
-    integration: float = 0.7
+    integration: float = 0.8
     d: float = 0.04
     threshold: float = 1e-3
     floor: float = 0.01
