@@ -4,7 +4,7 @@
 
 The secondary is the image of the next aperture, turned counter-clockwise about its centre by nearest neighbour as in
 the paper (L. Pallotta, G. Giunta, C. Clemente, J. J. Soraghan, SAR Coregistration by Robust Selection of Extended
-Targets and Iterative Outlier Cancellation). The circle is simulated (`featreg.simulate_circle`); couples of the real
+Targets and Iterative Outlier Cancellation). The circle is simulated (`featreg.simulate.circle`); couples of the real
 Gotcha data are reported beside it where FEATREG_DATA/gotcha holds them: 4-degree apertures where there is enough of
 the circle, else 1-degree ones. Every model counts, trusted or not, and the share of trusted ones is printed.
 Methods that are not registered are left out, and said to be.
@@ -25,11 +25,11 @@ from measuring import DATA, machine, on_one_thread, table
 
 import featreg
 from featreg.geometry import Rigid, as_model
-from featreg.phase_history import PhaseHistory, read_phase_history
+from featreg.io.phase_history import PhaseHistory, read_phase_history
 from featreg.resample import resample
 from featreg.sar.backprojection import GroundGrid, back_project
 from featreg.simulate import similarity_matrix
-from featreg.simulate_circle import circular_phase_history, parking_lot
+from featreg.simulate.circle import circular_phase_history, parking_lot
 from featreg.types import Image
 
 APERTURE = 4.0

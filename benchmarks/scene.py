@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from featreg.simulate_scene import read_scene_truth, simulate_scene
+from featreg.simulate.scene import read_scene_truth, simulate_scene
 from featreg.types import Registration
 
 

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
         Nearest,
     )
     from featreg.io import as_image
+    from featreg.io.phase_history import PhaseHistory, read_phase_history
     from featreg.matching import fit, match
-    from featreg.phase_history import PhaseHistory, read_phase_history
     from featreg.pipeline import Pipeline
     from featreg.products.warping import Product, warp_file
     from featreg.registry import available, create, register, register_family
@@ -69,10 +69,10 @@ _HOMES = {
     "Matches": "types",
     "Model": "interfaces",
     "Nearest": "interfaces",
-    "PhaseHistory": "phase_history",
+    "PhaseHistory": "io.phase_history",
     "Pipeline": "pipeline",
     "Product": "products.warping",
-    "read_phase_history": "phase_history",
+    "read_phase_history": "io.phase_history",
     "read_tie_points": "tie_points",
     "register": "registry",
     "register_family": "registry",

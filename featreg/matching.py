@@ -12,13 +12,13 @@ import numpy as np
 
 from featreg.assembly import DEFAULT_METHOD, assemble
 from featreg.errors import InputError, ParameterError
-from featreg.focused_inputs import Focus, focused_inputs
+from featreg.focusing.inputs import Focus, focused_inputs
 from featreg.geometry import as_model
 from featreg.interfaces import Matcher, Model
 from featreg.io import ImageLike, as_image
-from featreg.masks import MaskLike
+from featreg.io.masks import MaskLike
+from featreg.io.raster_source import open_source, pixel_count
 from featreg.pipeline import Pipeline
-from featreg.raster_source import open_source, pixel_count
 from featreg.tie_points import read_tie_points
 from featreg.timing import collecting, stage
 from featreg.types import Image, Matches, Registration

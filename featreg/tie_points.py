@@ -173,7 +173,7 @@ def _side(
         if (pixels < -1).any():
             raise InputError(f"{names} are no pixels (some lie left of or above the image); give the {role} image")
         return pixels
-    from featreg.raster_source import RasterSource
+    from featreg.io.raster_source import RasterSource
 
     source = RasterSource(str(image), band=1)
     place = source.geolocation

@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from featreg.errors import ParameterError, PluginUnavailableError
-from featreg.phase_history import PhaseHistory, read_phase_history
+from featreg.io.phase_history import PhaseHistory, read_phase_history
 from featreg.sar.backprojection import SPEED_OF_LIGHT as C
 from featreg.sar.backprojection import GroundGrid, back_project, carrier
 

@@ -38,7 +38,7 @@ from featreg.geolocation.overlap import largest_rectangle
 from featreg.geolocation.rpc_fit import terms
 from featreg.geolocation.sensor import METRES_PER_DEGREE
 from featreg.geolocation.transfer import on_ground
-from featreg.simulate_orbit import RangeDoppler, Terrain
+from featreg.simulate.orbit import RangeDoppler, Terrain
 from featreg.types import FloatArray, Geolocation
 
 SHAPE = (2000, 2200)

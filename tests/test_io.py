@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from featreg.errors import InputError, ParameterError
 from featreg.io import as_image, read_image, write_geotiff
-from featreg.masks import inside_polygons
+from featreg.io.masks import inside_polygons
 from featreg.types import Geolocation, Image
 
 rasterio = pytest.importorskip("rasterio")

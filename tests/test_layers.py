@@ -28,12 +28,11 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
     "geometry": ({"geometry"}, {"base", "types", "interfaces", "registry"}),
     "robust": ({"robust", "robust_kernels"}, {"base", "types", "interfaces", "registry", "geometry"}),
     "input": (
-        {"readers", "scales", "masks", "io", "raster_source", "raster_files", "window", "writers", "tie_points",
-         "sicd", "opencv", "torch_arrays", "kornia", "phase_history"},
+        {"io", "tie_points", "opencv", "torch_arrays", "kornia"},
         {"base", "types", "sar"},
     ),
     "simulate": (
-        {"simulate", "simulate_circle", "simulate_scene", "simulate_ground", "simulate_orbit"},
+        {"simulate"},
         {"base", "types", "sar", "geolocation", "input"},
     ),
     "geolocation": ({"geolocation"}, {"base", "types", "interfaces", "registry", "geometry", "robust", "input"}),
@@ -43,7 +42,7 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
         {"base", "types", "sar", "interfaces", "registry", "geometry", "geolocation", "input"},
     ),
     "focusing": (
-        {"focusing", "focused_inputs", "range_blocks"},
+        {"focusing"},
         {"base", "types", "sar", "interfaces", "registry", "input"},
     ),
     "pipeline": (
@@ -164,11 +163,18 @@ def test_every_documented_exception_is_still_needed() -> None:
 
 
 def test_no_module_needs_itself_to_load() -> None:
-    graph = {n: {f.target for f in imports(n) if f.at_load and f.target in modules()} for n in LIBRARY}
+    graph = {n: {m for f in imports(n) if f.at_load for m in loaded(n, f.target)} for n in LIBRARY}
     try:
         TopologicalSorter(graph).prepare()
     except CycleError as error:
         pytest.fail(f"modules import each other: {' -> '.join(error.args[1])}")
+
+
+def loaded(source: str, target: str) -> set[str]:
+    """A module of the library and the packages around it, which Python loads first; not those that `source` is in."""
+    parts = target.split(".")
+    chain = {".".join(parts[: end + 1]) for end in range(1, len(parts))}
+    return {name for name in chain & set(modules()) if name == target or not f"{source}.".startswith(f"{name}.")}
 
 
 def is_plugin(name: str) -> bool:

@@ -15,6 +15,7 @@ from featreg.errors import CancelledError, InputError, ParameterError
 from featreg.geometry import Affine, Homography
 from featreg.interfaces import FailedFit
 from featreg.io import as_image, write_geotiff
+from featreg.io.writers import replacing
 from featreg.products.files import WINDOW
 from featreg.products.lattice import OtherGrids, lattice_of, resized
 from featreg.products.warping import Product, warp_file
@@ -22,7 +23,6 @@ from featreg.resample import resample
 from featreg.sar.coherence import coherence, expected_coherence
 from featreg.sar.phase_ramp import PhaseRamp, estimate_phase_ramp
 from featreg.types import Geolocation, Matches, Registration
-from featreg.writers import replacing
 
 rasterio = pytest.importorskip("rasterio")
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from featreg.errors import InputError, ParameterError
 from featreg.io import as_image
-from featreg.raster_source import ImageSource, RasterSource, Window, open_source, pixel_count
+from featreg.io.raster_source import ImageSource, RasterSource, Window, open_source, pixel_count
 
 SHAPE = (150, 170)
 WINDOWS = [Window(0, 0, 170, 150), Window(20, 30, 50, 40), Window(-7, 100, 60, 80), Window(150, -9, 40, 30)]
@@ -23,7 +23,7 @@ WINDOWS = [Window(0, 0, 170, 150), Window(20, 30, 50, 40), Window(-7, 100, 60, 8
 def write(path: Path, array: NDArray[Any], **profile: Any) -> Path:
     import rasterio
 
-    from featreg.readers import quiet
+    from featreg.io.readers import quiet
 
     size = {"height": array.shape[0], "width": array.shape[1], "count": 1, "dtype": array.dtype.name}
     with quiet(), rasterio.open(path, "w", driver="GTiff", **size, **profile) as dataset:
@@ -179,7 +179,7 @@ def test_a_changed_file_is_read_anew(tmp_path: Path) -> None:
 def test_another_band_can_be_chosen(tmp_path: Path) -> None:
     import rasterio
 
-    from featreg.readers import quiet
+    from featreg.io.readers import quiet
 
     bands = np.stack([amplitude(0), amplitude(1)])
     size = {"height": SHAPE[0], "width": SHAPE[1], "count": 2, "dtype": "float32"}

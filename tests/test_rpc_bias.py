@@ -20,7 +20,7 @@ from featreg.geometry import Affine, Translation, model_from_dict, model_to_dict
 from featreg.interfaces import FailedFit
 from featreg.registry import model_class, model_name
 from featreg.robust import fit_consensus, irls
-from featreg.simulate_orbit import RangeDoppler, Terrain
+from featreg.simulate.orbit import RangeDoppler, Terrain
 from featreg.types import FloatArray
 
 SHAPE = (1500, 1600)

@@ -17,7 +17,7 @@ from featreg.geometry import Translation
 from featreg.io import as_image, read_image
 from featreg.products.lattice import lattice_of
 from featreg.resample import resample
-from featreg.simulate_scene import ScenePair, simulate_scene
+from featreg.simulate.scene import ScenePair, simulate_scene
 from featreg.types import Matches, Registration
 
 SHAPE = (256, 320)

@@ -18,7 +18,7 @@ import featreg
 from featreg.errors import CancelledError, InputError, NoOverlapError, ParameterError
 from featreg.interfaces import Filter, FilterContext, Matcher
 from featreg.io import as_image
-from featreg.raster_source import Window
+from featreg.io.raster_source import Window
 from featreg.scene.blocks import Block, plan_blocks, spread_out
 from featreg.scene.execution import can_fork, open_lane
 from featreg.scene.prior import Prior
@@ -462,7 +462,7 @@ def test_local_filters_draw_from_the_seed_and_the_block(located_pair: Any, resul
 def test_a_job_is_small_and_a_block_result_survives_its_columns(located_pair: Any) -> None:
     from featreg.assembly import assemble
     from featreg.geometry import Affine
-    from featreg.raster_source import open_source
+    from featreg.io.raster_source import open_source
     from featreg.scene.task import Job
 
     pipeline = assemble("sar-orb", n_features=400)

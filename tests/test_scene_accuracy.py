@@ -19,7 +19,7 @@ from featreg.io import as_image
 from featreg.refine import Refine
 from featreg.scene.blocks import halo_of
 from featreg.scene.merge import Merged, block_errors
-from featreg.simulate_scene import simulate_scene
+from featreg.simulate.scene import simulate_scene
 from featreg.types import Image, Matches, Registration
 
 BLOCK: dict[str, Any] = {"block": 200, "workers": 1}

@@ -273,14 +273,14 @@ def test_the_picture_of_a_large_scene_is_made_from_overviews(
 ) -> None:
     import cv2
 
-    from featreg import io
     from featreg.cli import main
 
     command = ["match", str(located_pair.reference), str(located_pair.secondary), "--block", "200", "--workers", "1"]
     assert main([*command, "--plot", str(tmp_path / "whole.png")]) == 0
     monkeypatch.setattr("featreg.matching.MOST_PIXELS", 100_000)
     monkeypatch.setattr("featreg.commands.scene.DRAWN", 400)
-    monkeypatch.setattr(io, "as_image", None)
+    for place in ("featreg.io", "featreg.io.images"):
+        monkeypatch.setattr(f"{place}.as_image", None)
     assert main([*command, "--plot", str(tmp_path / "reduced.png")]) == 0
     whole, reduced = (cv2.imread(str(tmp_path / name), cv2.IMREAD_GRAYSCALE) for name in ("whole.png", "reduced.png"))
     assert whole is not None

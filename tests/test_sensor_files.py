@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from featreg.errors import InputError
 from featreg.io import as_image
-from featreg.raster_source import RasterSource, Window
-from featreg.sicd import _geodetic, _samples
+from featreg.io.raster_source import RasterSource, Window
+from featreg.io.sicd import _geodetic, _samples
 
 rasterio = pytest.importorskip("rasterio")
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")

@@ -142,7 +142,7 @@ def test_whole_pixel_shift_moves_the_whole_image() -> None:
 
 def test_strips_leave_no_seam(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = sar_pair((200, 150), looks=math.inf, seed=1)
-    monkeypatch.setattr(featreg.simulate, "STRIP", 37)
+    monkeypatch.setattr("featreg.simulate.pairs.STRIP", 37)
     striped = sar_pair((200, 150), looks=math.inf, seed=1)
     np.testing.assert_allclose(striped.reference, whole.reference, rtol=1e-4)
     np.testing.assert_allclose(striped.secondary, whole.secondary, rtol=1e-4)

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from featreg.errors import ParameterError
-from featreg.phase_history import PhaseHistory
+from featreg.io.phase_history import PhaseHistory
 from featreg.sar.backprojection import SPEED_OF_LIGHT as C
 from featreg.sar.backprojection import GroundGrid, back_project
-from featreg.simulate_circle import CircularPath, ParkingLot, circular_phase_history, parking_lot
+from featreg.simulate.circle import CircularPath, ParkingLot, circular_phase_history, parking_lot
 
 PATH = CircularPath(radius=700.0, height=700.0, pulses_per_degree=20, bandwidth=300e6, frequencies=128)
 SMALL: dict[str, Any] = {"vehicles": 4, "targets": 2, "width": 36.0, "clutter_density": 3.0}

@@ -15,8 +15,8 @@ from featreg.errors import InputError, ParameterError
 from featreg.geolocation import DemHeights, RpcBias, RpcSensor, Transfer, find_overlap, sensor_of
 from featreg.geometry import Affine
 from featreg.io import read_image
-from featreg.simulate_orbit import RangeDoppler, earth_fixed
-from featreg.simulate_scene import ScenePair, read_scene_truth, simulate_scene
+from featreg.simulate.orbit import RangeDoppler, earth_fixed
+from featreg.simulate.scene import ScenePair, read_scene_truth, simulate_scene
 from featreg.types import FloatArray
 
 SHAPE = (512, 600)

@@ -131,8 +131,8 @@ def cluster(address: str | None) -> Iterator[Any]:
 def image_to_draw(file: str, mask: str | None, nodata: complex | None, scale: str | None) -> tuple[Image, int]:
     """An image for a picture, large ones reduced, and how many pixels of the file, along a side, are one of its."""
     from featreg.io import as_image
+    from featreg.io.raster_source import open_source, pixel_count
     from featreg.matching import MOST_PIXELS
-    from featreg.raster_source import open_source, pixel_count
 
     if pixel_count(file) <= MOST_PIXELS:
         return as_image(file, mask=mask, nodata=nodata, scale=scale), 1

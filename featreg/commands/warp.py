@@ -104,9 +104,9 @@ def warp(
     check_output(output, "--output", suffixes=[".tif", ".tiff"], inputs=inputs)
     check_output(coherence, "--coherence", suffixes=[".tif", ".tiff"], inputs=inputs)
     with limited_threads(workers):
+        from featreg.io.scales import SCALES
         from featreg.products.warping import warp_file
         from featreg.resample import TAPS
-        from featreg.scales import SCALES
         from featreg.types import Registration
 
         check_name(resampling, TAPS, "resampling")

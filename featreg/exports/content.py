@@ -102,7 +102,7 @@ def rows_of(registration: Registration, stage: str) -> BoolArray:
 
 
 def _info(registration: Registration, role: str, given: str | Path | None) -> ImageInfo:
-    from featreg.raster_source import RasterSource
+    from featreg.io.raster_source import RasterSource
 
     known = recorded(registration, role)
     path = str(given if given is not None else known.get("path") or role)

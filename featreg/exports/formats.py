@@ -8,10 +8,10 @@ from pathlib import Path
 
 from featreg.errors import InputError, ParameterError, suggest
 from featreg.exports.content import content_of
+from featreg.io.writers import replacing
 from featreg.products.grid import inputs_of
 from featreg.result_file import tie_point_file
 from featreg.types import Registration
-from featreg.writers import replacing
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import numpy as np
 
 from featreg.errors import InputError
 from featreg.exports.content import Content, ground_of
-from featreg.readers import quiet
+from featreg.io.readers import quiet
 from featreg.tie_points import PIXEL_OFFSETS
 from featreg.types import FloatArray
 

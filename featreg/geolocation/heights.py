@@ -217,7 +217,7 @@ class DemHeights(Heights):
     def _open(self, read: Any) -> Any:
         import rasterio
 
-        from featreg.readers import quiet, reason
+        from featreg.io.readers import quiet, reason
 
         if not Path(self.path).exists():
             raise InputError(f"{self.path}: no such elevation model; give the path of an existing raster file")

@@ -13,8 +13,8 @@ from featreg.errors import InputError, NoOverlapError
 from featreg.geolocation.heights import DemHeights, Heights
 from featreg.geolocation.sensor import Sensor, metres
 from featreg.geolocation.transfer import Transfer, on_ground
+from featreg.io.window import Window
 from featreg.types import BoolArray, FloatArray
-from featreg.window import Window
 
 #: Nodes along each side of the lattice on which the overlap is first sought, and points per side that are checked.
 NODES = 97

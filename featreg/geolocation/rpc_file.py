@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from featreg.errors import ParameterError
-from featreg.writers import replacing
+from featreg.io.writers import replacing
 
 #: rasterio's name -> name in .RPB, unit in _RPC.TXT.
 FIELDS: Mapping[str, tuple[str, str]] = {

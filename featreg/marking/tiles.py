@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from featreg.errors import ParameterError
+from featreg.io.raster_source import Window, open_source
 from featreg.pictures.panels import resized, tone, tone_limits
-from featreg.raster_source import Window, open_source
 from featreg.types import Image
 
 #: Side of a tile in pixels of the page, and the coarsest level that is read from the scene itself.

@@ -14,10 +14,10 @@ from threading import Event
 from typing import Any
 
 from featreg.errors import CancelledError
+from featreg.io.raster_source import CACHE_BYTES, Window
+from featreg.io.writers import geolocation_profile
 from featreg.products.grid import Grid
 from featreg.products.samples import Encoding
-from featreg.raster_source import CACHE_BYTES, Window
-from featreg.writers import geolocation_profile
 
 #: Side of an output window, px; of the tiles inside the file.
 WINDOW, TILE = 1024, 512

@@ -11,8 +11,8 @@ import numpy as np
 
 from featreg.errors import InputError, ParameterError
 from featreg.interfaces import Model
+from featreg.io.raster_source import RasterSource
 from featreg.products.lattice import OtherGrids, resized
-from featreg.raster_source import RasterSource
 from featreg.resample import model_of, stated_shape
 from featreg.types import FloatArray, Geolocation, Registration
 

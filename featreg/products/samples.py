@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from featreg.raster_source import RasterSource
-from featreg.readers import gdal_dataset
+from featreg.io.raster_source import RasterSource
+from featreg.io.readers import gdal_dataset
 from featreg.types import BoolArray
 
 #: Integers that a product keeps; all other real samples become float32.

@@ -17,18 +17,18 @@ from numpy.typing import NDArray
 from featreg._version import __version__
 from featreg.errors import InputError, ParameterError, suggest
 from featreg.interfaces import Model
+from featreg.io.raster_source import RasterSource, Window
+from featreg.io.readers import gdal_dataset, quiet
+from featreg.io.writers import refuse_input, replacing
 from featreg.products.files import Runner, bounded_cache, cloud_optimised, rasterio_window, tiled_tiff
 from featreg.products.grid import Grid, grid_model, inputs_of, recorded, reference_grid
 from featreg.products.lattice import Lattice, lattice_of
 from featreg.products.samples import Encoding, encoding_of
-from featreg.raster_source import RasterSource, Window
-from featreg.readers import gdal_dataset, quiet
 from featreg.resample import TAPS, Support
 from featreg.sar.coherence import coherence as coherence_of
 from featreg.sar.coherence import window_size
 from featreg.sar.phase_ramp import PhaseRamp, estimate_phase_ramp
 from featreg.types import BoolArray, Registration
-from featreg.writers import refuse_input, replacing
 
 #: Most pixels of the secondary that one output window reads.
 MOST_READ = 3 << 20

@@ -69,7 +69,7 @@ def picture(source: Any, allowance: int) -> Picture:
 def _read(source: Any) -> tuple[Image, tuple[int, int]]:
     """The image, or an overview of a large one, and the (width, height) of the image itself."""
     if isinstance(source, str | Path) and Path(source).is_file():
-        from featreg.raster_source import RasterSource
+        from featreg.io.raster_source import RasterSource
 
         try:
             scene = RasterSource(str(source))

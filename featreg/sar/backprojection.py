@@ -16,7 +16,7 @@ from featreg.errors import InputError, ParameterError, PluginUnavailableError, s
 from featreg.types import FloatArray, Image
 
 if TYPE_CHECKING:
-    from featreg.phase_history import PhaseHistory
+    from featreg.io.phase_history import PhaseHistory
 
 #: m/s.
 SPEED_OF_LIGHT = 299_792_458.0

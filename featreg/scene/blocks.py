@@ -10,8 +10,8 @@ import numpy as np
 
 from featreg.errors import ParameterError
 from featreg.interfaces import Matcher
+from featreg.io.window import Window
 from featreg.refine import Refine
-from featreg.window import Window
 
 #: Side of a block in pixels, as in the SAR-ORB paper (section 2.2).
 BLOCK = 600

@@ -13,8 +13,8 @@ from featreg.errors import InputError, NoOverlapError
 from featreg.geolocation import Heights, RpcBias, find_overlap, sensor_of
 from featreg.geometry import Affine
 from featreg.interfaces import FailedFit, Model
+from featreg.io.raster_source import Source, Window
 from featreg.pipeline import Pipeline
-from featreg.raster_source import Source, Window
 from featreg.scene.prior import Prior
 from featreg.scene.record import inputs_of_sources
 from featreg.types import Matches, Registration

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from featreg.raster_source import Source
+from featreg.io.raster_source import Source
 from featreg.scene.blocks import Block
 from featreg.scene.task import BlockResult, survivors
 from featreg.types import IntArray

@@ -17,10 +17,10 @@ from featreg.assembly import assemble
 from featreg.errors import ParameterError
 from featreg.geolocation import ConstantHeight, DemHeights, Heights, RpcBias, Transfer, sensor_of
 from featreg.interfaces import Matcher, Model
+from featreg.io.raster_source import ImageSource, Source
 from featreg.pipeline import Gathered, Pipeline
 from featreg.presets import PRESETS
 from featreg.provenance import versions
-from featreg.raster_source import ImageSource, Source
 from featreg.scene.blocks import Block, halo_of, plan_blocks, spread_out
 from featreg.scene.execution import Canceller, Lane, open_lane
 from featreg.scene.first_prior import first_prior

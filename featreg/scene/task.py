@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from featreg.geometry import Affine
 from featreg.interfaces import FailedFit, Filter, FilterContext, Matcher, Model
+from featreg.io.raster_source import Source, Window
 from featreg.pipeline import ROUNDS, SCALE_PX
-from featreg.raster_source import Source, Window
 from featreg.refine import Refine
 from featreg.robust import irls
 from featreg.scene.blocks import Block

@@ -14,14 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import InputError, ParameterError, suggest
-from featreg.masks import MaskLike, as_mask, holds_nodata
-from featreg.phase_history import read_phase_history
-from featreg.readers import Raster, read_raster
-from featreg.scales import SCALES, check_content, complex_pixels, real_pixels
+from featreg.io.masks import MaskLike, as_mask, holds_nodata
+from featreg.io.readers import Raster, read_raster
+from featreg.io.scales import SCALES, check_content, complex_pixels, real_pixels
 from featreg.types import BoolArray, Image
-from featreg.writers import write_geotiff
-
-__all__ = ["ImageLike", "as_image", "read_image", "read_phase_history", "write_geotiff"]
 
 SMALLEST = 16
 
@@ -38,7 +34,7 @@ def as_image(
     source : path of a GeoTIFF, PNG, JPEG, BMP or NPY file, ``file.mat:variable`` (the variable may be left out where
         the file holds one 2-D numeric array), a 2-D numeric array, or an `Image`, which is returned as it is when
         nothing else is given
-    mask : pixels that are data: (H, W) array, mask file or polygons; see `featreg.masks.as_mask`
+    mask : pixels that are data: (H, W) array, mask file or polygons; see `featreg.io.masks.as_mask`
     nodata : value of the samples that are not data, before any conversion; it overrides the nodata value of a file (not
         its mask band). Compared with linear amplitude where `source` is an `Image`. Without it, 0 is data in an array.
     scale : what real samples are: "amplitude", "intensity" (square root is taken) or "db" (10 ** (v / 20))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from featreg.errors import InputError, ParameterError, suggest
-from featreg.focusing import METHODS, FocusResult, focus
+from featreg.focusing.complex_image import METHODS, FocusResult, focus
 from featreg.types import Image
 
 Focus = str | Callable[[Image], FocusResult]

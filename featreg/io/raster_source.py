@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import InputError, ParameterError
-from featreg.masks import MaskLike, holds_nodata, inside_polygons, polygons_of
-from featreg.raster_files import CACHE_BYTES, Head, read_head, read_samples, stamp_of, told_scale
-from featreg.readers import Raster, gdal_dataset
-from featreg.scales import SCALES, complex_pixels, real_pixels
+from featreg.io.masks import MaskLike, holds_nodata, inside_polygons, polygons_of
+from featreg.io.raster_files import CACHE_BYTES, Head, read_head, read_samples, stamp_of, told_scale
+from featreg.io.readers import Raster, gdal_dataset
+from featreg.io.scales import SCALES, complex_pixels, real_pixels
+from featreg.io.window import Window
 from featreg.types import BoolArray, Geolocation, Image
-from featreg.window import Window
 
 __all__ = [
     "CACHE_BYTES",
@@ -266,7 +266,7 @@ def open_source(
     source: Any, *, mask: MaskLike | None = None, nodata: complex | None = None, scale: str | None = None
 ) -> Source:
     """Return the source of a path, an array or an `Image`, checked; parameters and errors as `featreg.io.as_image`."""
-    from featreg.io import as_image
+    from featreg.io.images import as_image
 
     if not isinstance(source, str | Path):
         return ImageSource(as_image(source, mask=mask, nodata=nodata, scale=scale))

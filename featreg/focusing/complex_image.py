@@ -183,7 +183,7 @@ def focus(
         raise InputError(f"{name}: holds only zeros, there is nothing to focus")
     before = image_entropy(pixels, workers=settings.workers)
     if range_blocks > 1:
-        from featreg.range_blocks import focus_blocks
+        from featreg.focusing.range_blocks import focus_blocks
 
         edges = np.linspace(0, cells, int(range_blocks) + 1).round().astype(int).tolist()
         result = focus_blocks(

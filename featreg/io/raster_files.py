@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import InputError
-from featreg.masks import holds_nodata
-from featreg.readers import Raster, gdal_dataset, geolocation_of, quiet, read_raster, reason
-from featreg.scales import real_pixels
+from featreg.io.masks import holds_nodata
+from featreg.io.readers import Raster, gdal_dataset, geolocation_of, quiet, read_raster, reason
+from featreg.io.scales import real_pixels
+from featreg.io.window import Window
 from featreg.types import Geolocation
-from featreg.window import Window
 
 #: Bytes that GDAL may keep of the tiles it has decoded, in each process; two rows of tiles of a wide scene.
 CACHE_BYTES = 64 << 20

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from featreg.simulate import gamma_field, painted
+from featreg.simulate.pairs import gamma_field, painted
 from featreg.types import FloatArray
 
 #: Ground pixels along each side of a block.

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from featreg.focusing import FocusResult
+from featreg.focusing.complex_image import FocusResult
 from featreg.sar.azimuth_filter import apply_phase, image_entropy
 from featreg.sar.phase_error import Band
 from featreg.sar.pulse_spectra import pulse_spectra

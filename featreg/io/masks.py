@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from featreg.errors import InputError, ParameterError
-from featreg.readers import read_raster
+from featreg.io.readers import read_raster
 from featreg.types import BoolArray, FloatArray
 
 MaskLike = str | Path | NDArray[Any] | Sequence[ArrayLike]

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import ParameterError
-from featreg.phase_history import PhaseHistory
+from featreg.io.phase_history import PhaseHistory
 from featreg.sar.backprojection import SPEED_OF_LIGHT
 from featreg.types import FloatArray, points, read_only
 
@@ -232,7 +232,7 @@ def circular_phase_history(
     Returns
     -------
     PhaseHistory
-        After the signal model of `featreg.phase_history`, without noise of the receiver and without spreading loss.
+        After the signal model of `featreg.io.phase_history`, without noise of the receiver and without spreading loss.
 
     Raises
     ------

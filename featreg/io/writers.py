@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import FeatregError, InputError
-from featreg.readers import quiet, reason
+from featreg.io.readers import quiet, reason
 from featreg.types import Geolocation
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import InputError, suggest
-from featreg.sicd import is_sicd, read_sicd
+from featreg.io.sicd import is_sicd, read_sicd
 from featreg.types import BoolArray, Geolocation
 
 MAGIC = {

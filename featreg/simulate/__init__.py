@@ -1,0 +1,17 @@
+"""Simulated SAR data with exactly known truth: image pairs, scenes with RPCs and terrain, circular phase histories.
+
+Here stand the pairs of one landscape; `featreg.simulate.scene` and `featreg.simulate.circle` are imported by name.
+"""
+
+from featreg.simulate.pairs import (
+    FINER,
+    NOISE,
+    STRIP,
+    SimulatedPair,
+    gamma_field,
+    painted,
+    sar_pair,
+    similarity_matrix,
+)
+
+__all__ = ["FINER", "NOISE", "STRIP", "SimulatedPair", "gamma_field", "painted", "sar_pair", "similarity_matrix"]
