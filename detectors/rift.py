@@ -44,10 +44,11 @@ class PhaseCongruency(Detector):
     -----
     J. Li, Q. Hu, M. Ai, "RIFT: multi-modal image matching based on radiation-variation insensitive feature transform",
     IEEE TIP 29 (2020) 3296, DOI 10.1109/TIP.2019.2959244, Eq. 1 to 10. Departures: the edge points are FAST corners of
-    the maximum moment, as in the authors' program; scales, wavelengths, bandwidth, noise, floor and view are those that
-    find SAR corners again (`featreg.sar.phase_congruency` says why; the preset rift-paper holds the paper's): two broad
-    filters at 4 and 12 px do as well as four narrow ones, in half the time;
-    positions are sub-pixel, which lowers the error of points found again from 0.94 to 0.79 px; the angle, towards the
+    the maximum moment, as in the authors' program; scales, orientations, wavelengths, bandwidth, noise, floor and view
+    are those that find SAR corners again (`featreg.sar.phase_congruency` says why; the preset rift-paper holds the
+    paper's): two very broad filters at 6 and 18 px in four directions, a third of the paper's transforms, are short
+    both across an edge and along it: the error of matches of two dates is 0.73 px, where narrower filters at 4 and 12
+    px in six directions leave 0.77; positions are sub-pixel, without which it is 0.82 px; the angle, towards the
     centroid of the edge map, does not depend on how a sensor maps brightness.
     """
 
@@ -56,12 +57,12 @@ class PhaseCongruency(Detector):
     threshold: int = 5
     support: float = SUPPORT
     subpixel: str = "centroid"
-    sigma: float = 1.0
+    sigma: float = 0.8
     scales: int = 2
-    orientations: int = 6
-    min_wavelength: float = 4.0
+    orientations: int = 4
+    min_wavelength: float = 6.0
     multiplier: float = 3.0
-    bandwidth: float = 0.5
+    bandwidth: float = 0.35
     noise: float = 0.0
     floor: float = 0.1
     view: str = "soft-log"

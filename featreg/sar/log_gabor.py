@@ -1,4 +1,4 @@
-"""A bank of log-Gabor filters applied to a whole image by FFT.
+"""A bank of log-Gabor filters applied to an image by FFT, piece by piece.
 
 References
 ----------
@@ -13,7 +13,6 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,10 +22,13 @@ from featreg.errors import ParameterError
 F32 = NDArray[np.float32]
 C64 = NDArray[np.complex64]
 
-# A radial profile is taken as zero beyond so many of its standard deviations (0.2 % of its peak).
-REACH = 3.5
 # Frequencies above it, in cycles per pixel, lie in the corners of the spectrum, where directions are unequal.
 CUT_OFF, SHARPNESS = 0.45, 15
+# Largest side of a piece, px; two of its spectra stay in the processor's cache. Longer filters need larger ones.
+PIECE = 256
+LEAST_MARGINS = 6
+# Reach of the finest filter, in wavelengths, where its amplitude is sampled, and side of the spectrum it is read from.
+SAMPLED_REACH, SAMPLED_SIDE = 2.0, 16
 
 
 @dataclass(frozen=True)
@@ -35,11 +37,12 @@ class LogGabor:
 
     Parameters
     ----------
-    scales, orientations : how many; orientation o has its normal at o * 180 / orientations degrees, x to y
+    scales, orientations : how many; orientation o has its normal at o * 180 / orientations degrees, x to y; with fewer
+        than four a filter would see both sides of its direction
     min_wavelength : of the finest scale, px
     multiplier : ratio of the wavelengths of two neighbouring scales
     bandwidth : ratio of the standard deviation of a profile to its centre frequency; 0.75 is about one octave,
-        0.55 about two
+        0.55 about two, 0.35 three and a half
 
     Notes
     -----
@@ -54,9 +57,9 @@ class LogGabor:
     bandwidth: float = 0.75
 
     def __post_init__(self) -> None:
-        if not (1 <= self.scales <= 8 and 6 <= self.orientations <= 24):
+        if not (1 <= self.scales <= 8 and 4 <= self.orientations <= 24):
             raise ParameterError(
-                "log-Gabor filters need 1 to 8 scales and 6 to 24 orientations, got "
+                "log-Gabor filters need 1 to 8 scales and 4 to 24 orientations, got "
                 f"{self.scales} and {self.orientations}"
             )
         if not (2 <= self.min_wavelength < 1e3 and 1 < self.multiplier < 10 and 0 < self.bandwidth < 1):
@@ -71,12 +74,46 @@ class LogGabor:
 
     @property
     def margin(self) -> int:
-        """Pixels by which an image is continued on each side; together the coarsest wavelength."""
-        return math.ceil(self.wavelength(self.scales - 1) / 2)
+        """Pixels by which a piece is wider on each side; beyond lies 3 % (rms) of the coarsest filter."""
+        return math.ceil(self.wavelength(self.scales - 1) * (0.69 - 0.21 / math.log(self.bandwidth)))
 
 
-def responses(view: F32, bank: LogGabor) -> Iterator[C64]:
-    """Yield, orientation by orientation, the complex responses of all scales.
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """A piece of an image whose responses can be computed.
+
+    `rows`, `columns` are its slices of the image; they begin `margin` pixels within the arrays of responses, which hold
+    nothing of use around them. All pieces share their working memory.
+    """
+
+    rows: slice
+    columns: slice
+    margin: int
+    spectrum: C64
+    transfers: F32
+    parts: tuple[C64, ...]
+
+    def responses(self, orientation: int) -> tuple[C64, ...]:
+        """Return the scales' complex (h, w) responses, even-symmetric + j * odd-symmetric, C-contiguous.
+
+        They are overwritten by the next call.
+        """
+        import cv2
+
+        from featreg.sar import congruency_kernels
+
+        first = orientation * len(self.parts)
+        # Whole products and transforms: to leave out where a filter is zero takes longer, for OpenCV off its fast path.
+        for part, transfer in zip(self.parts, self.transfers[first : first + len(self.parts)], strict=True):
+            congruency_kernels.filtered(
+                self.spectrum.view(np.float32).ravel(), transfer.ravel(), part.view(np.float32).ravel()
+            )
+            cv2.dft(_pairs(part), dst=_pairs(part), flags=cv2.DFT_INVERSE)
+        return self.parts
+
+
+def pieces(view: F32, bank: LogGabor) -> Iterator[Piece]:
+    """Cut an image into pieces that can be filtered one after the other; beyond its border it is reflected.
 
     Parameters
     ----------
@@ -85,107 +122,104 @@ def responses(view: F32, bank: LogGabor) -> Iterator[C64]:
 
     Yields
     ------
-    (scales, H, W) complex64
-        Even-symmetric response + j * odd-symmetric one.
+    Piece
+        To be used before the next one is taken.
     """
-    height, width = view.shape
-    for parts, top, left in padded_responses(view, bank):
-        yield np.stack([part[top : top + height, left : left + width] for part in parts])
-
-
-def padded_responses(view: F32, bank: LogGabor) -> Iterator[tuple[tuple[C64, ...], int, int]]:
-    """Yield as `responses`, without a copy: the padded arrays of the scales, and where (row, column) the image begins.
-
-    The same arrays, C-contiguous, are filled again for the next orientation; outside the image they hold no responses.
-
-    Notes
-    -----
-    The image is continued by reflection up to a length that the FFT likes. A one-sided filter of six or more
-    orientations lies in a half-plane of the spectrum, and within its radial reach: only that block is transformed
-    along the first axis, and only the image's own rows (or columns) along the second.
-    """
-    from scipy import fft
-
-    from featreg.sar import index_map_kernels
-
-    height, width = view.shape
-    padded, top, left = _continued(view, bank.margin)
-    spectrum = np.asarray(fft.fft2(padded), np.complex64).view(np.float32)
-    radial, angular, limits = _filters(padded.shape[0], padded.shape[1], bank)
-    parts = tuple(np.empty(padded.shape, np.complex64) for _ in range(bank.scales))
-    for o in range(bank.orientations):
-        across = _across(o, bank.orientations)
-        size = np.array(padded.shape)
-        used = np.minimum(size, [[size[0], columns] if across else [rows, size[1]] for rows, columns in limits])
-        index_map_kernels.filtered(spectrum, radial, angular[o], used, tuple(part.view(np.float32) for part in parts))
-        for part, (rows, columns) in zip(parts, used, strict=True):
-            # In place: fresh arrays would cost as much as the transforms.
-            if across:
-                _inverse(fft, part[:, :columns], 0)
-                _inverse(fft, part[top : top + height], 1)
-            else:
-                _inverse(fft, part[:rows], 1)
-                _inverse(fft, part[:, left : left + width], 0)
-        yield parts, top, left
-
-
-def _inverse(fft: ModuleType, block: C64, axis: int) -> None:
-    """Inverse FFT of a block along one axis, in place."""
-    result = fft.ifft(block, axis=axis, overwrite_x=True)
-    if not np.shares_memory(result, block):  # `overwrite_x` is a permission, not a promise
-        block[...] = result
-
-
-def _across(orientation: int, orientations: int) -> bool:
-    """Whether an orientation's filter lies in the half-plane of positive x frequencies, rather than of y."""
-    angle = math.pi * orientation / orientations
-    return abs(math.cos(angle)) > math.sin(angle) - 1e-9
-
-
-def _continued(view: F32, margin: int) -> tuple[F32, int, int]:
-    """The image continued by reflection to a fast size, and where it begins there (row, column)."""
     import cv2
+
+    (high, height), (wide, width) = (_cut(side, bank.margin) for side in view.shape)
+    transfers = _transfers(height, width, bank)
+    # New memory costs as much as a transform.
+    spectrum, nothing = np.empty((height, width), np.complex64), np.zeros((height, width), np.float32)
+    parts = tuple(np.empty((height, width), np.complex64) for _ in range(bank.scales))
+    for top in range(0, view.shape[0], high):
+        for left in range(0, view.shape[1], wide):
+            # A real transform would give half of the spectrum, and filling in the other half takes longer.
+            part = _surrounded(view, top - bank.margin, left - bank.margin, height, width)
+            cv2.merge((part, nothing), dst=_pairs(spectrum))
+            cv2.dft(_pairs(spectrum), dst=_pairs(spectrum))
+            rows, columns = slice(top, min(top + high, view.shape[0])), slice(left, min(left + wide, view.shape[1]))
+            yield Piece(rows, columns, bank.margin, spectrum, transfers, parts)
+
+
+def finest_amplitude(view: F32, rows: slice, columns: slice, bank: LogGabor) -> F32:
+    """Return the (orientations, n, m) amplitude of the finest scale in some rows and columns, summed in the image."""
+    import cv2
+
+    reach, kernels = _finest(bank)
+    side = 2 * reach + 1
+    wide = np.asarray(cv2.copyMakeBorder(view, *(reach,) * 4, cv2.BORDER_REFLECT), np.float32)
+    windows = np.lib.stride_tricks.sliding_window_view(wide, (side, side))[rows, columns]
+    even, odd = np.moveaxis(windows.reshape(*windows.shape[:2], side**2) @ kernels, 2, 0).reshape(
+        2, bank.orientations, *windows.shape[:2]
+    )
+    return np.asarray(np.sqrt(even**2 + odd**2), np.float32)
+
+
+def _pairs(values: C64) -> F32:
+    """The same (H, W) numbers as OpenCV sees them: (H, W, 2)."""
+    return values.view(np.float32).reshape(*values.shape, 2)
+
+
+def _cut(length: int, margin: int) -> tuple[int, int]:
+    """Length of a piece without its margins, and the length that is transformed, so that little is done twice."""
     from scipy import fft
 
-    before, sizes = [], []
-    for n in view.shape:
-        size = fft.next_fast_len(n + 2 * margin)
-        # Rows whose length in bytes is a multiple of a page fall on one another in the cache.
-        while size % 256 == 0:
-            size = fft.next_fast_len(size + 1)
-        sizes.append(size)
-        before.append((size - n) // 2)
-    top, left = before
-    bottom, right = sizes[0] - view.shape[0] - top, sizes[1] - view.shape[1] - left
-    border = cv2.BORDER_REFLECT if min(view.shape) > max(bottom, right) else cv2.BORDER_REPLICATE
-    padded = cv2.copyMakeBorder(view, top, bottom, left, right, border)
-    return np.asarray(padded, np.float32), top, left
+    largest = max(PIECE, LEAST_MARGINS * margin)
+    best = (math.inf, 0, 0)
+    for count in range(1, length + 1):
+        inner = -(-length // count)
+        # Lengths with a factor of 16 are transformed in half the time.
+        size = 16 * fft.next_fast_len(-(-(inner + 2 * margin) // 16))
+        if size <= largest:
+            best = min(best, (count * size, inner, size))
+            if inner < 2 * margin:
+                break
+    return best[1:]
+
+
+def _surrounded(view: F32, top: int, left: int, height: int, width: int) -> F32:
+    """The (height, width) part of an image from a corner on, which may reach beyond it."""
+    import cv2
+
+    bottom, right = top + height, left + width
+    inside = view[max(top, 0) : bottom, max(left, 0) : right]
+    beyond = max(-top, 0), max(bottom - view.shape[0], 0), max(-left, 0), max(right - view.shape[1], 0)
+    return np.asarray(cv2.copyMakeBorder(inside, *beyond, cv2.BORDER_REFLECT), np.float32)
+
+
+@lru_cache(maxsize=6)
+def _transfers(height: int, width: int, bank: LogGabor) -> F32:
+    """The (orientations * scales, H, W) transfer functions, divided by H * W: zero on one half of the spectrum."""
+    y, x = np.meshgrid(np.fft.fftfreq(height), np.fft.fftfreq(width), indexing="ij")
+    radius, direction = np.hypot(x, y), np.arctan2(y, x)
+    radius[0, 0] = 1
+    low_pass = 1 / (1 + (radius / CUT_OFF) ** (2 * SHARPNESS)) / (height * width)
+    low_pass[0, 0] = 0
+    steepness = -0.5 / math.log(bank.bandwidth) ** 2
+    octaves = np.log(radius)
+    radial = [low_pass * np.exp(steepness * (octaves + math.log(bank.wavelength(s))) ** 2) for s in range(bank.scales)]
+    out = np.empty((bank.orientations, bank.scales, height, width), np.float32)
+    for o in range(bank.orientations):
+        away = np.abs((direction - math.pi * o / bank.orientations + math.pi) % (2 * math.pi) - math.pi)
+        angular = (1 + np.cos(np.minimum(away * bank.orientations / 2, math.pi))) / 2
+        for s in range(bank.scales):
+            out[o, s] = radial[s] * angular
+    out.flags.writeable = False
+    return out.reshape(-1, height, width)
 
 
 @lru_cache(maxsize=4)
-def _filters(height: int, width: int, bank: LogGabor) -> tuple[F32, F32, tuple[tuple[int, int], ...]]:
-    """Radial (scales, H, W) and angular (orientations, H, W) factors, and the rows and columns each scale needs."""
-    y, x = np.meshgrid(np.fft.fftfreq(height), np.fft.fftfreq(width), indexing="ij")
-    radius = np.hypot(x, y)
-    radius[0, 0] = 1
-    low_pass = 1 / (1 + (radius / CUT_OFF) ** (2 * SHARPNESS))
-    sigma = -math.log(bank.bandwidth)
-    radial = np.empty((bank.scales, height, width), np.float32)
-    limits = []
-    for s in range(bank.scales):
-        centre = 1 / bank.wavelength(s)
-        radial[s] = low_pass * np.exp(-(np.log(radius / centre) ** 2) / (2 * sigma**2))
-        radial[s, 0, 0] = 0
-        highest = min(0.5, centre * math.exp(REACH * sigma))
-        limits.append((math.ceil(highest * height) + 1, math.ceil(highest * width) + 1))
-    direction = np.arctan2(y, x)
-    angular = np.empty((bank.orientations, height, width), np.float32)
-    for o in range(bank.orientations):
-        angle = math.pi * o / bank.orientations
-        # Of the two opposite halves, the one with positive x (or y) frequencies: the odd part only changes its sign.
-        if _across(o, bank.orientations) and math.cos(angle) < 0:
-            angle -= math.pi
-        away = np.abs((direction - angle + math.pi) % (2 * math.pi) - math.pi)
-        angular[o] = (1 + np.cos(np.minimum(away * bank.orientations / 2, math.pi))) / 2
-    radial.flags.writeable = angular.flags.writeable = False
-    return radial, angular, tuple(limits)
+def _finest(bank: LogGabor) -> tuple[int, F32]:
+    """Reach in pixels of the finest scale's filters, and their ((2 reach + 1)^2, 2 * orientations) even and odd parts.
+
+    As they are laid over the image, so turned by half a turn.
+    """
+    reach = math.ceil(SAMPLED_REACH * bank.min_wavelength)
+    side = SAMPLED_SIDE * math.ceil(bank.min_wavelength)
+    spectra = _transfers(side, side, bank)[:: bank.scales].astype(np.float64) * side**2
+    grid = -np.arange(-reach, reach + 1) % side
+    kernels = np.fft.ifft2(spectra)[:, grid[:, None], grid].reshape(bank.orientations, -1)
+    # Cut off, they would see a constant.
+    kernels -= kernels.mean(axis=1, keepdims=True)
+    return reach, np.ascontiguousarray(np.concatenate([kernels.real, kernels.imag]).T, np.float32)

@@ -12,6 +12,8 @@ alone turns dark speckle into the strongest structure of all, and the amplitude 
 the minimum moment were found again (within 1.5 px) in 0.43 of the cases instead of 0.30. `floor` is of the order of
 the noise, where Kovesi has 1e-4: structure weaker than that is no more a corner than none. The index has a fraction:
 the vertex of the parabola through the largest amplitude and its two neighbours, so that it can be turned by any angle.
+One noise threshold, from all orientations, holds for each of them: speckle hardly has a direction, but estimates from
+few samples do.
 
 References
 ----------
@@ -29,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import ParameterError
-from featreg.sar.log_gabor import LogGabor, padded_responses
+from featreg.sar.log_gabor import LogGabor, finest_amplitude, pieces
 from featreg.sar.speckle import mean_amplitude
 from featreg.types import BoolArray, Image
 
@@ -39,8 +41,8 @@ U8 = NDArray[np.uint8]
 VIEWS = ("soft-log", "amplitude")
 # Steps of the index map in half a turn.
 STEPS = 240
-# Samples along each side, at most, from which the noise is estimated.
-SAMPLE = 70
+# Samples along each side, about, from which a quantile and the noise are estimated.
+SAMPLE, NOISE_SAMPLE = 70, 24
 # Black: below this share of the mean amplitude, all over squares of RIM_SIDE pixels, over RIM_SHARE of the image.
 DARK, RIM_SIDE, RIM_SHARE = 0.05, 7, 1e-3
 # What a share of valid pixels must exceed for their mean to be used.
@@ -114,26 +116,34 @@ def bytes_of(strength: F32, valid: BoolArray, quantile: float = 0.99) -> U8:
 
 
 def _maps(image: Image, bank: LogGabor, congruency: Congruency) -> tuple[F32, F32, U8, BoolArray]:
-    from featreg.sar import index_map_kernels
+    from featreg.sar import congruency_kernels
 
     usable = without_rim(image)
-    height, width = image.shape
-    moments = np.zeros((3, height, width), np.float32)
-    amplitudes = np.empty((bank.orientations, height, width), np.float32)
     view = _view(usable, congruency.view, bank.margin)
-    for o, (parts, top, left) in enumerate(padded_responses(view, bank)):
-        angle = math.pi * o / bank.orientations
-        finest = parts[0][top : top + height, left : left + width]
-        index_map_kernels.add_orientation(
-            tuple(part.view(np.float32) for part in parts), top, left,
-            np.float32(_noise(finest, usable.mask, bank, congruency.noise)),
-            np.float32(congruency.floor), np.float32(congruency.gain), np.float32(congruency.cut_off),
-            np.float32(math.cos(angle)), np.float32(math.sin(angle)), moments, amplitudes[o],
-        )  # fmt: skip
-    largest, smallest = np.empty((2, height, width), np.float32)
-    index_map_kernels.principal_moments(moments, np.float32(2 / bank.orientations), largest, smallest)
-    index = np.empty((height, width), np.uint8)
-    index_map_kernels.dominant_index(amplitudes, STEPS, index)
+    noise = np.float32(_noise(view, usable.mask, bank, congruency.noise))
+    floor, gain, cut_off = (np.float32(v) for v in (congruency.floor, congruency.gain, congruency.cut_off))
+    angles = [math.pi * o / bank.orientations for o in range(bank.orientations)]
+    directions = [(np.float32(math.cos(angle)), np.float32(math.sin(angle))) for angle in angles]
+    largest, smallest = np.empty((2, *image.shape), np.float32)
+    index = np.empty(image.shape, np.uint8)
+    room: F32 | None = None
+    for piece in pieces(view, bank):
+        top, left = piece.rows.start, piece.columns.start
+        height, width = piece.rows.stop - top, piece.columns.stop - left
+        # New memory costs more than what is done with it, and no piece is larger than the first.
+        room = np.empty((3 + len(angles)) * height * width, np.float32) if room is None else room
+        planes = room[: (3 + len(angles)) * height * width].reshape(-1, height, width)
+        moments, amplitudes = planes[:3], planes[3:]
+        moments[:] = 0
+        for o, (cosine, sine) in enumerate(directions):
+            responses = piece.responses(o)
+            congruency_kernels.add_orientation(
+                tuple(part.view(np.float32).ravel() for part in responses), responses[0].shape[1],
+                piece.margin, piece.margin, noise, floor, gain, cut_off, cosine, sine, moments, amplitudes[o],
+            )  # fmt: skip
+        norm = np.float32(2 / len(angles))
+        congruency_kernels.principal_moments(moments, norm, top, left, largest, smallest)
+        congruency_kernels.dominant_index(tuple(a.ravel() for a in amplitudes), width, STEPS, top, left, index)
     return largest, smallest, index, usable.mask
 
 
@@ -142,7 +152,7 @@ def _view(image: Image, name: str, reach: int) -> F32:
     import cv2
 
     relative = image.amplitude / np.float32(max(mean_amplitude(image), 1e-30))
-    view = np.log1p(relative) if name == "soft-log" else relative
+    view = np.log1p(relative, out=relative) if name == "soft-log" else relative
     if image.all_valid:
         return np.asarray(view, np.float32)
     valid = image.mask.astype(np.float32)
@@ -154,10 +164,10 @@ def _view(image: Image, name: str, reach: int) -> F32:
     return np.asarray(np.where(image.mask, view, around), np.float32)
 
 
-def _noise(finest: NDArray[np.complex64], mask: BoolArray, bank: LogGabor, deviations: float) -> float:
+def _noise(view: F32, mask: BoolArray, bank: LogGabor, deviations: float) -> float:
     """Kovesi's noise threshold: Rayleigh amplitudes, their median at the finest scale, falling with the bandwidth."""
-    rows, columns = (max(1, n // SAMPLE) for n in finest.shape)
-    seen = np.abs(finest[::rows, ::columns])[mask[::rows, ::columns]]
+    rows, columns = (slice(None, None, max(1, n // NOISE_SAMPLE)) for n in view.shape)
+    seen = finest_amplitude(view, rows, columns, bank)[:, mask[rows, columns]]
     tau = float(np.median(seen)) / math.sqrt(math.log(4)) if seen.size else 0.0
     total = tau * sum(bank.multiplier**-s for s in range(bank.scales))
     return total * (math.sqrt(math.pi / 2) + deviations * math.sqrt((4 - math.pi) / 2))
