@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,12 +52,16 @@ class BfSiftDescriptor(Descriptor):
     harmonics: int = 2
 
     def __post_init__(self) -> None:
-        if self.octaves < 1 or self.intervals < 1 or not (self.sigma > 0 and self.tone > 0 and self.support > 0):
+        if (
+            self.octaves < 1
+            or self.intervals < 1
+            or not all(0 < value < math.inf for value in (self.sigma, self.tone, self.support))
+        ):
             raise ParameterError(
-                "bf-sift needs octaves and intervals >= 1, and sigma, tone and support > 0, got "
+                "bf-sift needs octaves and intervals >= 1, and finite sigma, tone and support > 0, got "
                 f"{self.octaves}, {self.intervals}, {self.sigma}, {self.tone} and {self.support}"
             )
-        if not self.coarser > 0 or not 0.01 <= self.step <= 0.25:
+        if not 0 < self.coarser < math.inf or not 0.01 <= self.step <= 0.25:
             raise ParameterError(
                 f"bf-sift needs coarser > 0 and 0.01 <= step <= 0.25, got {self.coarser} and {self.step}"
             )

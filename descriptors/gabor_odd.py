@@ -68,6 +68,11 @@ class GaborOdd(Descriptor):
                 "gabor-odd needs 0.5 <= sigma <= 100, factor > 1, floor >= 0 and 0.01 <= step <= 0.25, got "
                 f"{self.sigma}, {self.factor}, {self.floor} and {self.step}"
             )
+        if math.log(self.sigma) + (self.scales - 1) * math.log(self.factor) > math.log(100) + 1e-9:
+            raise ParameterError(
+                "gabor-odd needs a coarsest sigma * factor ** (scales - 1) of at most 100 px, got "
+                f"{self.sigma} * {self.factor} ** {self.scales - 1}"
+            )
         if not 0 <= self.harmonics <= HARMONICS:
             raise ParameterError(f"gabor-odd needs 0 <= harmonics <= {HARMONICS}, got {self.harmonics}")
 
@@ -79,12 +84,9 @@ class GaborOdd(Descriptor):
         total = np.zeros((len(features), row_length(self.harmonics)), np.float32)
         for k in range(self.scales):
             level, sigma = octave(image, self.sigma * self.factor**k, COARSEST_GRID)
-            field = level.derive(_field, sigma=sigma, orientations=self.orientations, floor=self.floor)
+            sparse = sigma >= SPARSE
+            field = GradientField(*gabor_gradients(level, sigma, self.orientations, self.floor, sparse))
             radius = features.scale * level.shape[1] / image.shape[1]
             xy = from_base(features.xy, level, image)
             total += normalised(gloh(field, xy, radius, features.angle, self.harmonics, self.step))
         return described(image, features, normalised(total))
-
-
-def _field(level: Image, sigma: float, orientations: int, floor: float) -> GradientField:
-    return GradientField(*gabor_gradients(level, sigma, orientations, floor, sparse=sigma >= SPARSE))

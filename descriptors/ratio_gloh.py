@@ -28,7 +28,7 @@ class RatioGloh(Descriptor):
     floor : added to the means before their ratio is taken, relative to the image's mean amplitude
     step : distance of the samples relative to the radius
     soft : share a sample between neighbouring cells instead of giving it to one
-    root : root of the share of each component instead of clipping (RootSIFT)
+    root : root of the share of each component (of each cell, where harmonics are kept) instead of clipping (RootSIFT)
     harmonics : Fourier harmonics kept of the directions of each cell, beside their mean, 0 to 4; 4 keeps the histograms
         of eight directions themselves
 
@@ -55,9 +55,9 @@ class RatioGloh(Descriptor):
     harmonics: int = 2
 
     def __post_init__(self) -> None:
-        if not (self.support > 0 and self.finest > 0 and self.factor > 1 and self.floor >= 0):
+        if not (0 < self.support < math.inf and 0 < self.finest < math.inf and self.factor > 1 and self.floor >= 0):
             raise ParameterError(
-                "ratio-gloh needs support > 0, finest > 0, factor > 1 and floor >= 0, got "
+                "ratio-gloh needs finite support and finest > 0, factor > 1 and floor >= 0, got "
                 f"{self.support}, {self.finest}, {self.factor} and {self.floor}"
             )
         if not 0.01 <= self.step <= 0.25:

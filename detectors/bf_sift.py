@@ -75,9 +75,9 @@ class BfSift(Detector):
                 f"{self.n_features}, {self.octaves}, {self.intervals} and {self.quota_decay}"
             )
         positive = (self.sigma, self.tone, self.support, self.orientation_scale)
-        if not (all(value > 0 for value in positive) and self.threshold >= 0):
+        if not (all(0 < value < math.inf for value in positive) and self.threshold >= 0):
             raise ParameterError(
-                "bf-sift needs sigma, tone, support and orientation_scale > 0 and threshold >= 0, got "
+                "bf-sift needs finite sigma, tone, support and orientation_scale > 0 and threshold >= 0, got "
                 f"{', '.join(map(str, positive))} and {self.threshold}"
             )
 

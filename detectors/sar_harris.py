@@ -83,14 +83,14 @@ class SarHarris(Detector):
     subscale: bool = True
 
     def __post_init__(self) -> None:
-        if self.n_features < 1 or self.scales < 1 or not self.factor > 1 or not self.quota_decay >= 1:
+        if self.n_features < 1 or self.scales < 1 or not 1 < self.factor < math.inf or not self.quota_decay >= 1:
             raise ParameterError(
                 "sar-harris needs n_features >= 1, scales >= 1, factor > 1 and quota_decay >= 1, got "
                 f"{self.n_features}, {self.scales}, {self.factor} and {self.quota_decay}"
             )
-        if not (self.alpha > 0 and self.integration > 0 and self.support > 0 and self.finest > 0):
+        if not all(0 < value < math.inf for value in (self.alpha, self.integration, self.support, self.finest)):
             raise ParameterError(
-                "sar-harris needs alpha, integration, support and finest > 0, got "
+                "sar-harris needs finite alpha, integration, support and finest > 0, got "
                 f"{self.alpha}, {self.integration}, {self.support} and {self.finest}"
             )
         if not 0 <= self.d < 0.25 or not self.threshold >= 0 or not self.floor >= 0:

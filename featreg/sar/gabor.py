@@ -27,9 +27,11 @@ WAVELENGTH, LENGTH = 4.0, 1.5
 REACH = 3.0
 # Pixels nearer than so many standard deviations to nodata, which counts as the mean, get no gradient.
 BLIND = 2.0
-# Side of the pieces in which an image is filtered, about and without their margins: a spectrum stays in the cache, and
-# filters of one size serve any image.
+# Side, at most about, of the equal pieces in which an image is filtered, without their margins: a spectrum stays in the
+# processor's cache.
 PIECE = 300
+# Filters of more bytes are made anew each time.
+KEPT = 32 << 20
 
 
 def gabor_gradients(
@@ -43,8 +45,9 @@ def gabor_gradients(
     sigma : standard deviation in pixels of the filter's envelope across the edge
     orientations : directions over half a turn, at least 2
     floor : added to both means, relative to the mean amplitude of the image
-    sparse : compute them in every other row and column only, and interpolate linearly in between: less than half the
-        time, and from a sigma of two pixels on nearly the same
+    sparse : compute them in every other row and column only, and interpolate linearly in between: a third of the
+        time. At a sigma of two pixels that smooths speckle's gradients by 29 % of their root mean square, of 2.8 by
+        16 %; descriptors match as well
 
     Returns
     -------
@@ -72,15 +75,18 @@ def _gabor_gradients(image: Image, sigma: float, orientations: int, floor: float
     from featreg.sar import gabor_kernels
 
     spacing = 2 if sparse else 1
-    small = np.float32(max(floor * mean_amplitude(image), 1e-30))
+    small, gain = np.float32(max(floor, 1e-30)), np.float32(1 / max(mean_amplitude(image), 1e-30))
     margin = _reach(sigma)
-    wide = np.asarray(cv2.copyMakeBorder(filled_amplitude(image), *(margin,) * 4, cv2.BORDER_REFLECT_101), np.float32)
-    # One sample more than there are pairs, so that the last pixel too lies between two.
+    # One sample more than there are pairs of pixels, so that the last pixel too lies between two.
+    beyond = margin + spacing - 1
+    wide = cv2.copyMakeBorder(filled_amplitude(image), margin, beyond, margin, beyond, cv2.BORDER_REFLECT_101)
+    np.multiply(wide, gain, out=wide)
     gx, gy = np.zeros((2, *(side if spacing == 1 else side // 2 + 1 for side in image.shape)), np.float32)
     for rows in _pieces(gx.shape[0], PIECE // spacing):
         for columns in _pieces(gx.shape[1], PIECE // spacing):
             outer = tuple(slice(spacing * s.start, spacing * (s.stop - 1) + 1 + 2 * margin) for s in (rows, columns))
-            _piece(wide[outer], margin, sigma, orientations, small, spacing, gx[rows, columns], gy[rows, columns])
+            place = rows.start, columns.start, rows.stop - rows.start, columns.stop - columns.start
+            _piece(wide[outer], margin, sigma, orientations, small, spacing, place, gx, gy)
     if sparse:
         between = np.empty((2, *image.shape), np.float32)
         for samples, component in zip((gx, gy), between, strict=True):
@@ -101,9 +107,13 @@ def _pieces(length: int, most: int) -> list[slice]:
 
 
 def _piece(
-    amplitude: F32, margin: int, sigma: float, orientations: int, small: np.float32, spacing: int, gx: F32, gy: F32
-) -> None:
-    """Add the gradients of one piece of the image, which is wider than they are by `margin` pixels on all sides."""
+    amplitude: F32, margin: int, sigma: float, orientations: int, small: np.float32, spacing: int,
+    place: tuple[int, int, int, int], gx: F32, gy: F32,
+) -> None:  # fmt: skip
+    """Add the gradients of one piece of the image, of which `amplitude` has `margin` pixels more on all sides.
+
+    `place` is the first row and column of the piece in `gx` and `gy`, and how many there are.
+    """
     import cv2
 
     from featreg.sar import gabor_kernels
@@ -118,8 +128,8 @@ def _piece(
     cv2.dft(_pairs(spectrum), dst=_pairs(spectrum))
     # New memory costs as much as a transform, so all directions use the same.
     means = np.empty((height // spacing, width // spacing), np.complex64)
-    inner = means[first : first + gx.shape[0], first : first + gx.shape[1]]
-    for n, transfer in enumerate(half_filters(height, width, sigma, orientations)):
+    bank = _filters if 4 * orientations * height * width <= KEPT else half_filters
+    for n, transfer in enumerate(bank(height, width, sigma, orientations)):
         theta = math.pi * n / orientations
         x, y = (np.float32(2 / orientations * f(theta)) for f in (math.cos, math.sin))
         if spacing == 1:
@@ -127,7 +137,7 @@ def _piece(
         else:
             gabor_kernels.filter_folded(spectrum, transfer, means)
         cv2.dft(_pairs(means), dst=_pairs(means), flags=cv2.DFT_INVERSE)
-        gabor_kernels.add_ratios(inner, small, x, y, gx, gy)
+        gabor_kernels.add_ratios(means, first, place, small, x, y, gx, gy)
 
 
 def _pairs(values: NDArray[np.complex64]) -> F32:
@@ -140,7 +150,6 @@ def _reach(sigma: float) -> int:
     return math.ceil(REACH * sigma * max(1.0, LENGTH))
 
 
-@lru_cache(maxsize=8)
 def half_filters(height: int, width: int, sigma: float, orientations: int) -> F32:
     """Return the (orientations, H, W) float32 real transfer functions of the filters' halves, divided by H * W.
 
@@ -169,3 +178,7 @@ def half_filters(height: int, width: int, sigma: float, orientations: int) -> F3
         out[n] = (spectrum.real - spectrum.imag) / (height * width)
     out.flags.writeable = False
     return out
+
+
+# A pyramid of four scales takes two or three sizes for each, and images differ in size.
+_filters = lru_cache(maxsize=16)(half_filters)

@@ -35,14 +35,22 @@ def _add(ratio: F32, factor: np.float32, out: F32) -> None:
 
 
 @compiled
-def add_ratios(means: C64, small: np.float32, x: np.float32, y: np.float32, gx: F32, gy: F32) -> None:
-    """Add log((m + d) / (m - d)) times (x, -y) of means m + i d (H, W), where m is raised by `small`."""
-    after, before = np.empty(gx.shape[1], np.float32), np.empty(gx.shape[1], np.float32)
-    for row in range(gx.shape[0]):
-        _sides(means[row].view(np.float32), small, after, before)
+def add_ratios(
+    means: C64, first: int, place: tuple[int, int, int, int], small: np.float32, x: np.float32, y: np.float32, gx: F32,
+    gy: F32,
+) -> None:  # fmt: skip
+    """Add log((m + d) / (m - d)) times (x, -y) of means m + i d, where m is raised by `small`.
+
+    `place` is the first row and column in `gx` and `gy`, and how many; they begin at row and column `first` of `means`.
+    Whole arrays, whose rows the compiler knows to be contiguous.
+    """
+    top, left, height, width = place
+    after, before = np.empty(width, np.float32), np.empty(width, np.float32)
+    for row in range(height):
+        _sides(means[first + row, first : first + width].view(np.float32), small, after, before)
         _log_ratio(after, before)
-        _add(after, x, gx[row])
-        _add(after, -y, gy[row])
+        _add(after, x, gx[top + row, left : left + width])
+        _add(after, -y, gy[top + row, left : left + width])
 
 
 @compiled

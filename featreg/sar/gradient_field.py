@@ -40,7 +40,10 @@ class GradientField:
 
         magnitude, direction = cv2.cartToPolar(self.x, self.y)
         # Counter-clockwise as seen is the other way round than OpenCV's, whose y points down.
-        return np.asarray(magnitude, np.float32), np.asarray(np.float32(2 * math.pi) - direction, np.float32)
+        both = np.asarray(magnitude, np.float32), np.asarray(np.float32(2 * math.pi) - direction, np.float32)
+        for part in both:
+            part.flags.writeable = False
+        return both
 
 
 def octave(image: Image, alpha: float, finest: float = 1.25) -> tuple[Image, float]:

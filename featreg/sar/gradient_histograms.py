@@ -172,7 +172,7 @@ def _pooled(
         points = xy[rows], radius[rows], angle[rows]
         small = np.zeros((len(points[0]), bins, pieces), np.float32)
         histogram_kernels.pool(magnitude, direction, width, height, *points, pattern.samples, pattern.piece, small)
-        out[rows] = (small.reshape(-1, pieces) @ pattern.shares).reshape(-1, bins * cells)
+        out[rows] = _product(small.reshape(-1, pieces), pattern.shares).reshape(-1, bins * cells)
     return out
 
 
@@ -194,7 +194,7 @@ def _harmonics(
         points = xy[rows], radius[rows], angle[rows]
         some = block[: len(points[0])]
         histogram_kernels.sample_harmonics(gx, gy, width, height, *points, pattern.samples, some)
-        np.matmul(some.reshape(-1, samples), shares, out=out[rows].reshape(-1, cells))
+        out[rows] = _product(some.reshape(-1, samples), shares).reshape(-1, *out.shape[1:])
     k = np.arange(count + 1)
     weight = np.sinc(k / DIRECTIONS) ** 2 * np.sqrt(np.where(k > 0, 2, 1) / DIRECTIONS)
     out *= np.repeat(weight, 2)[1:, None].astype(np.float32)
@@ -204,6 +204,13 @@ def _harmonics(
 def _points_at_once(multiplications: int) -> int:
     """So many points, each of which takes so many multiplications, go into one matrix product."""
     return max(1, min(BLOCK, PRODUCT // multiplications))
+
+
+def _product(left: F32, right: F32) -> F32:
+    """The matrix product, the same to the bit on any number of threads."""
+    if min(len(left), right.shape[1]) == 1 or len(left) * right.size > PRODUCT:
+        return np.asarray(np.einsum("ij,jk->ik", left, right))
+    return np.asarray(left @ right)
 
 
 @lru_cache(maxsize=16)
