@@ -14,6 +14,7 @@ import featreg
 from featreg import registry
 from featreg.errors import ParameterError
 from featreg.io import as_image
+from featreg.sar import bilateral
 from featreg.sar.bilateral import (
     BilateralSpace,
     bilateral_extrema,
@@ -21,6 +22,9 @@ from featreg.sar.bilateral import (
     bilateral_levels,
     noise_level,
 )
+from featreg.sar.gradient_field import from_base
+from featreg.sar.gradient_histograms import dominant_orientation, gloh, normalised
+from featreg.sar.pyramid import pyramid
 from featreg.sar.speckle import log_amplitude
 from featreg.simulate import SimulatedPair
 from featreg.types import Features, Image
@@ -32,8 +36,28 @@ def detect(picture: Image, **parameters: Any) -> Features:
     return registry.create("detector", "bf-sift", **parameters).detect_features(picture)
 
 
+def at(xy: NDArray[np.float64], scale: float, angle: float = 0.4) -> Features:
+    return Features(xy, scale, angle, np.ones(len(xy)), np.zeros(len(xy), np.int64))  # type: ignore[arg-type]
+
+
 def describe(picture: Image, features: Features, **parameters: Any) -> Features:
     return registry.create("descriptor", "bf-sift", **parameters).describe_features(picture, features)
+
+
+def rows(picture: Image, features: Features) -> NDArray[np.float32]:
+    found = describe(picture, features).descriptors
+    assert found is not None
+    return found.astype(np.float32)
+
+
+def nearest_level(image: Image, space: BilateralSpace, sigma: float) -> tuple[Image, int]:
+    """The octave's image and the number of the level whose sigma, in pixels of the image, is nearest by ratio."""
+    levels = [
+        (abs(math.log(space.sigma_of(k) * 2**octave / sigma)), level, k)
+        for octave, level in enumerate(pyramid(image, 2, 2.0))
+        for k in range(1, space.intervals + 1)
+    ]
+    return min(levels, key=lambda entry: entry[0])[1:]
 
 
 # Scale space
@@ -115,6 +139,16 @@ def test_the_levels_of_a_mirrored_image_are_mirrored(axis: int) -> None:
     np.testing.assert_allclose(first, np.flip(second, axis + 1), atol=1e-6)
 
 
+@pytest.mark.parametrize("sigma", [1.2, 3.5])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_smoothing_a_mirrored_image_mirrors_the_result_to_the_bit(sigma: float, axis: int) -> None:
+    values = np.random.default_rng(0).normal(size=(41, 150)).astype(np.float32)
+    first, second = np.empty_like(values), np.empty_like(values)
+    bilateral._smooth(values, sigma, 0.8, first)
+    bilateral._smooth(np.flip(values, axis).copy(), sigma, 0.8, second)
+    np.testing.assert_array_equal(np.flip(second, axis), first)
+
+
 @pytest.mark.parametrize("tone", [1e-40, 1e40])
 def test_the_tone_may_be_next_to_nothing_and_without_end(tone: float, sar_texture: Texture) -> None:
     picture = as_image(sar_texture(60, 60))
@@ -179,6 +213,17 @@ def test_gradients_point_up_a_ramp() -> None:
     assert np.abs(field.y[20:40, 20:40]).max() < 0.02 * 0.05
 
 
+def test_gradients_beside_nodata_are_none(sar_texture: Texture) -> None:
+    mask = np.ones((60, 70), np.bool_)
+    mask[20:30, 35:42] = False
+    y, x = np.mgrid[:60, :70]
+    apart = np.maximum(np.maximum(20 - y, y - 29), np.maximum(35 - x, x - 41))
+    field = bilateral_field(as_image(sar_texture(60, 70), mask=mask), BilateralSpace(), 1)
+    length = np.hypot(field.x, field.y)
+    assert not length[apart <= 1].any()
+    assert (length[apart == 2] > 0).all()
+
+
 # Detector
 
 
@@ -213,6 +258,22 @@ def test_the_orientation_is_that_of_a_ramp_at_any_scale() -> None:
         np.testing.assert_allclose(found.angle[middle] % (2 * math.pi), math.pi / 6, atol=0.1)
 
 
+@pytest.mark.parametrize("coarser", [1.0, 1.5])
+def test_the_orientation_is_read_from_a_level_and_a_disc_that_grow_with_the_point(
+    coarser: float, sar_texture: Texture
+) -> None:
+    picture, space = as_image(sar_texture()), BilateralSpace()
+    found = detect(picture, orientation_scale=coarser)
+    for scale in np.unique(found.scale):
+        some = found.take(np.flatnonzero(found.scale == scale))
+        level, k = nearest_level(picture, space, coarser * scale / 8)
+        radius = np.full(len(some), 0.5 * coarser * scale * level.shape[1] / picture.shape[1])
+        xy = from_base(some.xy, level, picture)
+        wanted = dominant_orientation(bilateral_field(level, space, k), xy, radius)
+        np.testing.assert_allclose(some.angle, wanted, atol=1e-6)
+    assert len(np.unique(found.scale)) > 3
+
+
 def test_the_budget_is_kept_and_the_best_come_first(sar_texture: Texture) -> None:
     for n_features in (1, 50, 10**5):
         found = detect(as_image(sar_texture()), n_features=n_features)
@@ -245,6 +306,25 @@ def test_no_support_touches_nodata_and_what_lies_there_has_no_influence(sar_text
 
 
 # Descriptor
+
+
+@pytest.mark.parametrize("scale", [8.1, 10.2, 12.8, 16.2, 20.4])
+def test_descriptors_are_of_the_level_half_as_coarse_again_as_the_point(scale: float, sar_texture: Texture) -> None:
+    picture, space = as_image(sar_texture()), BilateralSpace()
+    points = at(np.random.default_rng(0).uniform(30, 170, (20, 2)), scale)
+    level, k = nearest_level(picture, space, 1.5 * scale / 8)
+    smaller = level.shape[1] / picture.shape[1]
+    xy = from_base(points.xy, level, picture)
+    wanted = normalised(gloh(bilateral_field(level, space, k), xy, points.scale * smaller, points.angle))
+    np.testing.assert_allclose(rows(picture, points), wanted, atol=1e-6)
+
+
+def test_an_image_twice_as_large_is_described_alike_in_its_first_octave(sar_texture: Texture) -> None:
+    """Halving the image whose pixels are all doubled gives the image back."""
+    amplitude, xy = sar_texture(150, 160), np.random.default_rng(0).uniform(30, 120, (20, 2))
+    large = as_image(amplitude.repeat(2, axis=0).repeat(2, axis=1))
+    small = rows(as_image(amplitude), at(xy, 12.0))
+    np.testing.assert_allclose(rows(large, at(2 * xy + 0.5, 24.0)), small, atol=1e-5)
 
 
 def test_turning_image_and_point_by_a_quarter_keeps_the_descriptor(sar_texture: Texture) -> None:

@@ -75,6 +75,14 @@ def test_sparse_gradients_are_every_other_one_and_what_lies_between(
         np.testing.assert_allclose(rows[1::2], (rows[:-2:2] + rows[2::2]) / 2, atol=1e-6)
 
 
+@pytest.mark.parametrize(("sigma", "most"), [(2.0, 0.35), (4.0, 0.1)])
+def test_sparse_gradients_of_speckle_are_near_dense_ones(sigma: float, most: float) -> None:
+    """Speckle is the worst case: between the samples, gradients of a scene are straighter."""
+    speckle = as_image(np.sqrt(np.random.default_rng(0).gamma(4, 0.25, (200, 200))).astype(np.float32))
+    dense, sparse = (np.array(gabor_gradients(speckle, sigma, 3, sparse=sparse)) for sparse in (False, True))
+    assert 0 < np.sqrt(((sparse - dense) ** 2).mean() / (dense**2).mean()) < most
+
+
 @pytest.mark.parametrize("angle", [0.0, 30.0, 75.0, 140.0, 250.0])
 def test_the_gradient_points_towards_the_bright_side(angle: float) -> None:
     t = math.radians(angle)
@@ -99,6 +107,19 @@ def test_speckle_spreads_alike_on_dark_and_bright_ground() -> None:
     ground = np.where(np.arange(200) < 100, 1, 20).astype(np.float32)
     gx, _ = gabor_gradients(as_image(speckle * ground), 2.0, floor=0.0)
     assert gx[:, 15:85].std() == pytest.approx(gx[:, 115:185].std(), rel=0.1)
+
+
+def test_ground_without_any_echo_and_no_floor() -> None:
+    """A mean that is nothing but rounding errors, half of them negative, counts as 1e-36 of the image's mean."""
+    amplitude = np.zeros((90, 90), np.float32)
+    amplitude[20:80:20, 20:80:20] = 5
+    picture = Image(amplitude, np.ones((90, 90), np.bool_))
+    gx, gy = gabor_gradients(picture, 2.0, 2, floor=0.0)
+    for y in range(20, 80, 20):
+        assert (gx[y - 2 : y + 3, 17:77:20] > 5).all()
+        assert (gx[y - 2 : y + 3, 23:83:20] < -5).all()
+    # The points are 900 times as bright as the mean, which is less than 1e39 times the least mean.
+    assert max(np.abs(gx).max(), np.abs(gy).max()) < math.log(1e39)
 
 
 def test_what_lies_under_the_mask_has_no_influence(sar_texture: Texture) -> None:
@@ -155,6 +176,25 @@ def test_turning_image_and_point_by_a_quarter_keeps_the_descriptor(sar_texture: 
     assert (np.einsum("ij,ij->i", before, after) / length / np.linalg.norm(after, axis=1)).min() > 0.97
     assert length.max() <= 1 + 1e-5
     assert length.min() > 0.9
+
+
+def test_an_image_twice_as_large_is_described_alike_in_its_first_octave(sar_texture: Texture) -> None:
+    """Halving the image whose pixels are all doubled gives the image back."""
+    amplitude, xy = sar_texture(150, 160), np.random.default_rng(0).uniform(30, 120, (20, 2))
+    large = as_image(amplitude.repeat(2, axis=0).repeat(2, axis=1))
+    small = describe(as_image(amplitude), at(xy, 24.0, 0.7), sigma=2.0)
+    np.testing.assert_allclose(describe(large, at(2 * xy + 0.5, 48.0, 0.7), sigma=4.0), small, atol=1e-5)
+
+
+def test_descriptors_from_sparse_gradients_are_like_those_from_dense_ones(
+    sar_texture: Texture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    amplitude, points = sar_texture(), at(np.random.default_rng(0).uniform(30, 170, (100, 2)))
+    sparse = describe(as_image(amplitude), points, sigma=2.0)
+    monkeypatch.setattr("featreg.descriptors.gabor_odd.SPARSE", math.inf)
+    likeness = np.einsum("ij,ij->i", sparse, describe(as_image(amplitude), points, sigma=2.0))
+    assert np.median(likeness) > 0.99
+    assert likeness.max() < 1 - 1e-4
 
 
 def test_scales_are_told_apart(sar_texture: Texture) -> None:

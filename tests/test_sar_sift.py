@@ -14,7 +14,7 @@ import featreg
 from featreg import registry
 from featreg.errors import ParameterError
 from featreg.io import as_image
-from featreg.sar.gradient_field import GradientField, from_base, octave
+from featreg.sar.gradient_field import GradientField, from_base, octave, ratio_field
 from featreg.sar.gradient_histograms import CELLS, DIRECTIONS, dominant_orientation, gloh, normalised, row_length
 from featreg.sar.maxima import interpolated, local_maxima, parabola_peak, quadratic_peak
 from featreg.sar.pyramid import to_base
@@ -99,6 +99,22 @@ def test_harmonics_are_those_of_histograms_that_share_a_direction_between_two_bi
     assert np.median(off) < 0.03 * (1 + kept)
 
 
+def test_harmonics_fade_as_those_of_directions_that_two_of_eight_bins_share() -> None:
+    """Eight bins blur a harmonic; the mean over points of every angle sees the blur, and none of what it aliases."""
+    n = 1000
+    angle = 2 * math.pi * np.arange(n) / n
+    xy, radius = np.full((n, 2), 40.0), np.full(n, 15.0)
+    field = uniform_field(0.0)
+    histograms = gloh(field, xy, radius, angle, 4).reshape(n, DIRECTIONS, CELLS).sum(axis=2)
+    harmonics = gloh(field, xy[:1], radius[:1], angle[:1], 3).reshape(7, CELLS).sum(axis=1)
+    bins = 2 * math.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    for k in range(4):
+        wave = np.exp(1j * k * (bins + angle[:, None]))
+        wanted = abs((histograms * wave).sum(axis=1).mean()) * math.sqrt((2 if k else 1) / DIRECTIONS)
+        found = np.hypot(*harmonics[2 * k - 1 : 2 * k + 1]) if k else harmonics[0]
+        assert found == pytest.approx(wanted, rel=1e-3)
+
+
 def test_every_sample_counts_once() -> None:
     xy, radius, angle = np.array([[40.0, 40.0]]), np.array([15.0]), np.array([0.3])
     for harmonics in (0, 4):
@@ -154,6 +170,18 @@ def test_no_cell_of_harmonics_decides_alone() -> None:
     np.testing.assert_allclose(found[:, 3] / strong, one[0, :, 3] / np.linalg.norm(one[0, :, 3]), rtol=1e-5)
 
 
+def test_the_root_is_that_of_each_direction_or_of_each_cell() -> None:
+    """Of a cell's harmonics the first is its length: the root shortens all of them alike."""
+    cells = np.zeros((3, CELLS), np.float32)
+    cells[:, 2], cells[:, 9] = [16, 8, 4], [1, 0, -1]
+    wanted = np.zeros((3, CELLS))
+    wanted[:, 2], wanted[:, 9] = [4, 2, 1], [1, 0, -1]
+    np.testing.assert_allclose(normalised(cells.reshape(1, -1), True)[0], wanted.ravel() / math.sqrt(23), rtol=1e-6)
+    histogram = np.zeros((1, row_length(4)), np.float32)
+    histogram[0, [0, 5, 40]] = [9, 4, 3]
+    np.testing.assert_allclose(normalised(histogram, True)[0], np.sqrt(histogram[0] / 16), rtol=1e-6)
+
+
 # Maxima
 
 
@@ -203,6 +231,17 @@ def test_halvings_leave_alpha_large_enough_and_points_where_they_are(sar_texture
         assert alpha < 2.5 or level.shape[0] < picture.shape[0]
         points = np.array([[3.0, 4.0], [100.0, 50.0]])
         np.testing.assert_allclose(to_base(from_base(points, level, picture), level, picture), points)
+
+
+def test_ratio_gradients_end_three_alpha_from_nodata(sar_texture: Texture) -> None:
+    mask = np.ones((90, 100), np.bool_)
+    mask[40:50, 45:52] = False
+    y, x = np.mgrid[:90, :100]
+    apart = np.maximum(np.maximum(40 - y, y - 49), np.maximum(45 - x, x - 51))
+    field = ratio_field(as_image(sar_texture(90, 100), mask=mask), 2.0, 0.01)
+    length = np.hypot(field.x, field.y)
+    assert not length[apart <= 6].any()
+    assert (length[apart == 7] > 0).all()
 
 
 # Detector
@@ -289,6 +328,15 @@ def test_speckle_leaves_descriptors_of_one_place_alike(sar_texture: Texture) -> 
     points = at(rng.uniform(60, 240, (80, 2)), scale=30.0)
     likeness = describe(first, points) @ describe(second, points).T
     assert (likeness.argmax(axis=1) == np.arange(80)).mean() > 0.9
+
+
+def test_an_image_twice_as_large_is_described_alike_in_its_first_octave(sar_texture: Texture) -> None:
+    """Halving the image whose pixels are all doubled gives the image back."""
+    amplitude, xy = sar_texture(150, 160), np.random.default_rng(0).uniform(30, 120, (20, 2))
+    large = as_image(amplitude.repeat(2, axis=0).repeat(2, axis=1))
+    angle = np.linspace(0, 6, 20)
+    small = describe(as_image(amplitude), at(xy, 24.0, angle))
+    np.testing.assert_allclose(describe(large, at(2 * xy + 0.5, 48.0, angle)), small, atol=1e-5)
 
 
 @pytest.mark.parametrize("scale", [1e-6, 5.0, 40.0, 1e7])

@@ -15,6 +15,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from featreg.sar.fourier import fast_length, inverse_transform, transform
 from featreg.sar.gradient_field import clear_of_nodata
 from featreg.sar.speckle import filled_amplitude, mean_amplitude
 from featreg.types import Image
@@ -79,8 +80,8 @@ def _gabor_gradients(image: Image, sigma: float, orientations: int, floor: float
     margin = _reach(sigma)
     # One sample more than there are pairs of pixels, so that the last pixel too lies between two.
     beyond = margin + spacing - 1
-    wide = cv2.copyMakeBorder(filled_amplitude(image), margin, beyond, margin, beyond, cv2.BORDER_REFLECT_101)
-    np.multiply(wide, gain, out=wide)
+    padded = cv2.copyMakeBorder(filled_amplitude(image), margin, beyond, margin, beyond, cv2.BORDER_REFLECT_101)
+    wide = np.multiply(padded, gain, out=padded, dtype=np.float32)
     gx, gy = np.zeros((2, *(side if spacing == 1 else side // 2 + 1 for side in image.shape)), np.float32)
     for rows in _pieces(gx.shape[0], PIECE // spacing):
         for columns in _pieces(gx.shape[1], PIECE // spacing):
@@ -114,18 +115,16 @@ def _piece(
 
     `place` is the first row and column of the piece in `gx` and `gy`, and how many there are.
     """
-    import cv2
-
     from featreg.sar import gabor_kernels
 
     # The first sample is to lie at an even place of a spectrum that will be folded.
     first = -(-margin // spacing)
     top = left = spacing * first - margin
-    height, width = (16 * cv2.getOptimalDFTSize(-(-(side + top) // 16)) for side in amplitude.shape)
+    height, width = (fast_length(side + top) for side in amplitude.shape)
     # A real transform would give half of the spectrum, and filling in the other half takes longer than computing it.
     spectrum = np.zeros((height, width), np.complex64)
     spectrum.real[top : top + amplitude.shape[0], left : left + amplitude.shape[1]] = amplitude
-    cv2.dft(_pairs(spectrum), dst=_pairs(spectrum))
+    transform(spectrum)
     # New memory costs as much as a transform, so all directions use the same.
     means = np.empty((height // spacing, width // spacing), np.complex64)
     bank = _filters if 4 * orientations * height * width <= KEPT else half_filters
@@ -136,13 +135,8 @@ def _piece(
             np.multiply(spectrum, transfer, out=means)
         else:
             gabor_kernels.filter_folded(spectrum, transfer, means)
-        cv2.dft(_pairs(means), dst=_pairs(means), flags=cv2.DFT_INVERSE)
+        inverse_transform(means)
         gabor_kernels.add_ratios(means, first, place, small, x, y, gx, gy)
-
-
-def _pairs(values: NDArray[np.complex64]) -> F32:
-    """The same (H, W) numbers as OpenCV sees them: (H, W, 2)."""
-    return values.view(np.float32).reshape(*values.shape, 2)
 
 
 def _reach(sigma: float) -> int:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import ParameterError
+from featreg.sar.fourier import channels, fast_length, inverse_transform, transform
 
 F32 = NDArray[np.float32]
 C64 = NDArray[np.complex64]
@@ -98,8 +99,6 @@ class Piece:
 
         They are overwritten by the next call.
         """
-        import cv2
-
         from featreg.sar import congruency_kernels
 
         first = orientation * len(self.parts)
@@ -108,7 +107,7 @@ class Piece:
             congruency_kernels.filtered(
                 self.spectrum.view(np.float32).ravel(), transfer.ravel(), part.view(np.float32).ravel()
             )
-            cv2.dft(_pairs(part), dst=_pairs(part), flags=cv2.DFT_INVERSE)
+            inverse_transform(part)
         return self.parts
 
 
@@ -136,8 +135,8 @@ def pieces(view: F32, bank: LogGabor) -> Iterator[Piece]:
         for left in range(0, view.shape[1], wide):
             # A real transform would give half of the spectrum, and filling in the other half takes longer.
             part = _surrounded(view, top - bank.margin, left - bank.margin, height, width)
-            cv2.merge((part, nothing), dst=_pairs(spectrum))
-            cv2.dft(_pairs(spectrum), dst=_pairs(spectrum))
+            cv2.merge((part, nothing), dst=channels(spectrum))
+            transform(spectrum)
             rows, columns = slice(top, min(top + high, view.shape[0])), slice(left, min(left + wide, view.shape[1]))
             yield Piece(rows, columns, bank.margin, spectrum, transfers, parts)
 
@@ -156,21 +155,13 @@ def finest_amplitude(view: F32, rows: slice, columns: slice, bank: LogGabor) -> 
     return np.asarray(np.sqrt(even**2 + odd**2), np.float32)
 
 
-def _pairs(values: C64) -> F32:
-    """The same (H, W) numbers as OpenCV sees them: (H, W, 2)."""
-    return values.view(np.float32).reshape(*values.shape, 2)
-
-
 def _cut(length: int, margin: int) -> tuple[int, int]:
     """Length of a piece without its margins, and the length that is transformed, so that little is done twice."""
-    from scipy import fft
-
     largest = max(PIECE, LEAST_MARGINS * margin)
     best = (math.inf, 0, 0)
     for count in range(1, length + 1):
         inner = -(-length // count)
-        # Lengths with a factor of 16 are transformed in half the time.
-        size = 16 * fft.next_fast_len(-(-(inner + 2 * margin) // 16))
+        size = fast_length(inner + 2 * margin)
         if size <= largest:
             best = min(best, (count * size, inner, size))
             if inner < 2 * margin:
