@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 
 import featreg
 from featreg.focusing import FocusResult
+from featreg.focusing.azimuth_filter import image_entropy
+from featreg.focusing.phase_error import Band
 from featreg.geometry import Rigid
-from featreg.sar.azimuth_filter import image_entropy
-from featreg.sar.phase_error import Band
 from featreg.types import FloatArray
 
 Complex = NDArray[np.complex128]

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 import featreg
 from featreg.geometry import Affine
-from featreg.sar.corners import fast_corners
 from featreg.sar.correlation import local_correlations
-from featreg.sar.ratio import quantised_edges, roewa
+from featreg.sar.gradients.ratio import quantised_edges, roewa
+from featreg.sar.keypoints.corners import fast_corners
 from featreg.simulate import sar_pair
 
 COLUMNS = ("piece", "ms, median (quartiles)", "against", "ms, median (quartiles)", "ratio", "at most", "met", "result")

@@ -24,10 +24,10 @@ import numpy as np
 from measuring import DATA, machine, on_one_thread, table
 
 import featreg
+from featreg.focusing.backprojection import GroundGrid, back_project
+from featreg.focusing.phase_history import PhaseHistory, read_phase_history
 from featreg.geometry import Rigid, as_model
-from featreg.io.phase_history import PhaseHistory, read_phase_history
-from featreg.resample import resample
-from featreg.sar.backprojection import GroundGrid, back_project
+from featreg.products.resample import resample
 from featreg.simulate import similarity_matrix
 from featreg.simulate.circle import circular_phase_history, parking_lot
 from featreg.types import Image

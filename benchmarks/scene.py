@@ -22,8 +22,8 @@ from typing import Any
 
 import numpy as np
 
+from featreg.results.registration import Registration
 from featreg.simulate.scene import read_scene_truth, simulate_scene
-from featreg.types import Registration
 
 
 def pair(folder: Path, rows: int, cols: int) -> Path:

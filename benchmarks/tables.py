@@ -18,9 +18,9 @@ import numpy as np
 from measuring import on_one_thread, real_pairs, simulated_pairs
 
 from featreg import Experiment
-from featreg.experiments.layouts import NEEDS
-from featreg.experiments.protocol import Protocol
 from featreg.io import as_image
+from featreg.study.layouts import NEEDS
+from featreg.study.protocol import Protocol
 
 METHODS = ("sar-sift", "rift", "bfsift", "s-gof", "m-gof", "sar-orb")
 PAIRS = {"table2": 1, "table3": 10}
@@ -76,7 +76,7 @@ def main() -> None:
     print(f"## {given.table.replace('table', 'Table ')}, {len(pairs)} pair{'s' * (len(pairs) > 1)}\n")
     print(table.to_markdown(layout=given.table))
     if given.report:
-        from featreg.experiments.report_data import write_study_report
+        from featreg.report.study_page import write_study_report
 
         write_study_report(Path(given.report), study)
     if table.failed:

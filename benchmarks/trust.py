@@ -23,8 +23,8 @@ from measuring import machine, on_one_thread, random_affine, real_scenes, table,
 from numpy.typing import NDArray
 
 import featreg
-from featreg.evaluation import grid_rmse
 from featreg.simulate import sar_pair
+from featreg.study.evaluation import grid_rmse
 
 WRONG_PX = 3.0
 SMALLEST, LARGEST = 200, 600

@@ -10,9 +10,9 @@ import numpy as np
 from featreg.errors import ParameterError
 from featreg.interfaces import Descriptor
 from featreg.registry import register
-from featreg.sar.bilateral import BilateralSpace, bilateral_field
-from featreg.sar.gradient_field import from_base
-from featreg.sar.gradient_histograms import HARMONICS, described, gloh, normalised, row_length
+from featreg.sar.gradients.bilateral import BilateralSpace, bilateral_field
+from featreg.sar.gradients.gradient_field import from_base
+from featreg.sar.keypoints.gradient_histograms import HARMONICS, described, gloh, normalised, row_length
 from featreg.sar.pyramid import pyramid
 from featreg.types import Features, Image
 

@@ -67,7 +67,7 @@ class Brief(Descriptor):
         return (self.radius + REACH) * min(max(scale / self.radius, 1.0), self.factor ** (self.levels - 1))
 
     def describe_features(self, image: Image, features: Features) -> Features:
-        from featreg.sar import binary_kernels
+        from featreg.sar.keypoints import binary_kernels
 
         chain = pyramid(image, self.levels, self.factor)
         steps = np.log(np.maximum(features.scale, 1e-9) / self.radius) / math.log(self.factor)

@@ -10,9 +10,9 @@ import numpy as np
 from featreg.errors import ParameterError
 from featreg.interfaces import Descriptor
 from featreg.registry import register
-from featreg.sar.gabor import gabor_gradients
-from featreg.sar.gradient_field import GradientField, from_base, octave
-from featreg.sar.gradient_histograms import HARMONICS, described, gloh, normalised, row_length
+from featreg.sar.gradients.gabor import gabor_gradients
+from featreg.sar.gradients.gradient_field import GradientField, from_base, octave
+from featreg.sar.keypoints.gradient_histograms import HARMONICS, described, gloh, normalised, row_length
 from featreg.types import Features, Image
 
 # A scale is computed on the coarsest halving of the image on which its sigma is at least so many pixels.
@@ -41,10 +41,10 @@ class GaborOdd(Descriptor):
     S. Paul, U. C. Pati, "A Gabor Odd Filter-Based Ratio Operator for SAR Image Matching", IEEE Geosci. Remote Sens.
     Lett. 16 (2019) 397, DOI 10.1109/LGRS.2018.2872979. The letter leaves open to us, and our reading is: the edge
     response of a direction is the logarithm of the ratio of the means under the two halves of the odd filter (so that a
-    ratio and its inverse count alike), the gradient its projection on the axes (see `featreg.sar.gabor`); several
-    scales are joined by adding their normalised histograms, which keeps the length and counts every scale alike; any
-    detector's keypoints may be described, those kept being the ones of the highest score. Three directions match as
-    well as four, six or eight. Cells are GLOH's 17 instead of SIFT's 16 square ones. Two harmonics of a cell's
+    ratio and its inverse count alike), the gradient its projection on the axes (see `featreg.sar.gradients.gabor`);
+    several scales are joined by adding their normalised histograms, which keeps the length and counts every scale
+    alike; any detector's keypoints may be described, those kept being the ones of the highest score. Three directions
+    match as well as four, six or eight. Cells are GLOH's 17 instead of SIFT's 16 square ones. Two harmonics of a cell's
     directions match as well as its eight bins. Filters of larger sigma run on a halved image, and from a sigma of 1.9
     of its pixels on in every other row and column of it. What lies outside the image or near nodata counts as no
     gradient; only keypoints that lie there themselves, or have no gradient around them, are dropped.

@@ -15,11 +15,12 @@ from typing import Any
 import numpy as np
 
 from featreg.interfaces import Descriptor
-from featreg.kornia import COMMON, KorniaPart, Row, import_kornia
-from featreg.opencv import inside
+from featreg.interop.kornia import COMMON, KorniaPart, Row, import_kornia
+from featreg.interop.opencv import inside
+from featreg.interop.torch_arrays import inference, to_tensor
 from featreg.registry import register_family
-from featreg.torch_arrays import inference, to_lafs, to_numpy, to_tensor
 from featreg.types import Features, Image
+from featreg.types.lafs import to_numpy
 
 LEARNED_PATCH = 32
 # Patches cut and described at a time, so that memory stays bounded.
@@ -55,7 +56,7 @@ class KorniaDescriptor(KorniaPart, Descriptor):
         with inference(values["threads"]):
             tensor = to_tensor(image, values["normalise"], values["device"])
             enlarged = replace(kept, scale=kept.scale * values["magnification"])
-            lafs = to_lafs(enlarged).to(tensor.device, tensor.dtype)
+            lafs = enlarged.to_lafs().to(tensor.device, tensor.dtype)
             parts = [
                 to_numpy(library.get_laf_descriptors(tensor, lafs[:, i : i + BATCH], network, side)[0], np.float32)
                 for i in range(0, len(rows), BATCH)

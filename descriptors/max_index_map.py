@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from featreg.errors import ParameterError
 from featreg.interfaces import Descriptor
 from featreg.registry import register
-from featreg.sar.index_map import Cells, cell_list, level_bits, places_of, turned_histograms, turned_triples
-from featreg.sar.log_gabor import LogGabor
-from featreg.sar.phase_congruency import Congruency
+from featreg.sar.gradients.log_gabor import LogGabor
+from featreg.sar.gradients.phase_congruency import Congruency
+from featreg.sar.keypoints.index_map import Cells, cell_list, level_bits, places_of, turned_histograms, turned_triples
 from featreg.types import Features, FloatArray, Image
 
 F32 = NDArray[np.float32]
@@ -44,9 +44,9 @@ class MaxIndexMap(Descriptor):
     scales, orientations : number of log-Gabor filters; a histogram has as many bins as orientations
     min_wavelength : of the finest scale, px
     multiplier : ratio of the wavelengths of two neighbouring scales
-    bandwidth : of a filter, see `featreg.sar.log_gabor.LogGabor`
+    bandwidth : of a filter, see `featreg.sar.gradients.log_gabor.LogGabor`
     noise : standard deviations above the mean noise energy that counts as structure
-    floor : added to the sum of amplitudes, see `featreg.sar.phase_congruency`
+    floor : added to the sum of amplitudes, see `featreg.sar.gradients.phase_congruency`
     view : "soft-log" or "amplitude", what is filtered
 
     Notes
@@ -57,14 +57,14 @@ class MaxIndexMap(Descriptor):
     where their parameters are equal.
 
     Departures, the paper's form behind a parameter. Many small cells tell neighbouring points apart better than few
-    detailed ones: 13 x 13 of 5 px with three numbers each (`featreg.sar.index_map`) instead of 6 x 6 of 16 px with a
-    histogram of six bins. In five levels of equal probability these match nearly as well as the numbers themselves, at
-    a quarter of the time, since differing bits are counted instead of products summed. Votes are weighted by
-    the edge map, because where there is no edge the index is noise. The index has a fraction
-    (`featreg.sar.phase_congruency`), so that it turns by any angle; cells stay upright squares, whose centres turn with
-    the keypoint, to every second pixel. Cells off the image, on nodata or on a black rim are left out as if they were
-    average, so that points near a border need not be dropped and the shape of the border does not look like content;
-    a point with too few cells left is dropped.
+    detailed ones: 13 x 13 of 5 px with three numbers each (`featreg.sar.keypoints.index_map`) instead of 6 x 6 of 16 px
+    with a histogram of six bins. In five levels of equal probability these match nearly as well as the numbers
+    themselves, at a quarter of the time, since differing bits are counted instead of products summed. Votes are
+    weighted by the edge map, because where there is no edge the index is noise. The index has a fraction
+    (`featreg.sar.gradients.phase_congruency`), so that it turns by any angle; cells stay upright squares, whose centres
+    turn with the keypoint, to every second pixel. Cells off the image, on nodata or on a black rim are left out as if
+    they were average, so that points near a border need not be dropped and the shape of the border does not look like
+    content; a point with too few cells left is dropped.
     """
 
     patch: float = 63.0

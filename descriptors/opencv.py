@@ -19,20 +19,10 @@ from numpy.typing import NDArray
 
 from featreg.errors import InputError
 from featreg.interfaces import Descriptor
-from featreg.opencv import (
-    NORMALISE,
-    Algorithm,
-    Parameter,
-    clear_errors,
-    grey,
-    inside,
-    to_keypoints,
-    to_radians,
-    true_to_orb,
-    unavailable,
-)
+from featreg.interop.opencv import NORMALISE, Algorithm, Parameter, clear_errors, grey, inside, true_to_orb, unavailable
 from featreg.registry import register_family
 from featreg.types import Features, Image, IntArray
+from featreg.types.keypoints import to_radians
 
 P = Parameter
 Place = Callable[[Mapping[str, Any], Features, tuple[int, int]], tuple[IntArray, IntArray | None]]
@@ -102,10 +92,10 @@ class OpenCVDescriptor(Descriptor):
         placed = replace(used, scale=np.maximum(used.scale, SMALLEST))
         if values.get("half_pixel"):
             placed = replace(placed, xy=true_to_orb(used.xy, octave, values["scale_factor"], image.shape))
-        given = to_keypoints(placed, octave=octave, class_id=np.arange(len(used)) if class_id is None else class_id)
+        given = placed.to_keypoints(octave=octave, class_id=np.arange(len(used)) if class_id is None else class_id)
         sent = np.array([k.angle for k in given])
         if algorithm.anchor is not None:
-            given += to_keypoints(placed.take(np.zeros(1, np.int64)), octave=algorithm.anchor)
+            given += placed.take(np.zeros(1, np.int64)).to_keypoints(octave=algorithm.anchor)
         picture: NDArray[Any] = grey(image, values["normalise"])
         if algorithm.colour:
             picture = np.repeat(picture[:, :, None], 3, axis=2)

@@ -10,8 +10,8 @@ import numpy as np
 from featreg.errors import ParameterError
 from featreg.interfaces import Descriptor
 from featreg.registry import register
-from featreg.sar.gradient_field import from_base, octave, ratio_field
-from featreg.sar.gradient_histograms import HARMONICS, described, gloh, normalised, row_length
+from featreg.sar.gradients.gradient_field import from_base, octave, ratio_field
+from featreg.sar.keypoints.gradient_histograms import HARMONICS, described, gloh, normalised, row_length
 from featreg.types import Features, Image
 
 

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from featreg.errors import ParameterError
 from featreg.interfaces import Detector
 from featreg.registry import register
-from featreg.sar.bilateral import BilateralSpace, bilateral_extrema, bilateral_field, bilateral_levels
-from featreg.sar.gradient_field import from_base
-from featreg.sar.gradient_histograms import dominant_orientation
-from featreg.sar.maxima import quadratic_peak
+from featreg.sar.gradients.bilateral import BilateralSpace, bilateral_extrema, bilateral_field, bilateral_levels
+from featreg.sar.gradients.gradient_field import from_base
+from featreg.sar.keypoints.gradient_histograms import dominant_orientation
+from featreg.sar.keypoints.maxima import quadratic_peak
 from featreg.sar.pyramid import clear, pyramid, share_out, to_base
 from featreg.types import Features, FloatArray, Image, IntArray
 
@@ -49,12 +49,12 @@ class BfSift(Detector):
 
     Departures. The filter works on the logarithm of the amplitude, in which speckle is additive, and its range is
     measured in units of the noise, since a filter that keeps every step above the noise keeps single-look speckle. The
-    default cascade (see `featreg.sar.bilateral`) is fast and not the same filter; `exact` is the paper's. Windows of
-    whole pixels, cut at 1.5 sigma, make the steps between levels uneven, so that some intervals hold few extrema. The
-    paper skips the finest scales; here a budget favours them, as their keypoints are placed best. Octaves are halvings
-    of the amplitude, not of the smoothed image. The position is that of a quadratic surface in space; the scale stays
-    that of the level. No contrast or edge test: the budget keeps the strongest. One orientation a point, from
-    gradients half as coarse again as the point, in which less speckle is left; `orientation_scale` 1 is SIFT's.
+    default cascade (see `featreg.sar.gradients.bilateral`) is fast and not the same filter; `exact` is the paper's.
+    Windows of whole pixels, cut at 1.5 sigma, make the steps between levels uneven, so that some intervals hold few
+    extrema. The paper skips the finest scales; here a budget favours them, as their keypoints are placed best. Octaves
+    are halvings of the amplitude, not of the smoothed image. The position is that of a quadratic surface in space; the
+    scale stays that of the level. No contrast or edge test: the budget keeps the strongest. One orientation a point,
+    from gradients half as coarse again as the point, in which less speckle is left; `orientation_scale` 1 is SIFT's.
     """
 
     n_features: int = 5000

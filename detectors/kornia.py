@@ -19,11 +19,13 @@ from typing import Any
 import numpy as np
 
 from featreg.interfaces import Detector
-from featreg.kornia import COMMON, KorniaPart, Row, import_kornia
-from featreg.opencv import grey, on_data
+from featreg.interop.kornia import COMMON, KorniaPart, Row, import_kornia
+from featreg.interop.opencv import grey, on_data
+from featreg.interop.torch_arrays import inference, to_tensor
 from featreg.registry import register_family
-from featreg.torch_arrays import from_lafs, import_torch, inference, to_numpy, to_tensor
+from featreg.runtime.optional import import_torch
 from featreg.types import Features, Image
+from featreg.types.lafs import to_numpy
 
 BUDGET = 5000
 MIN_SIDE = 16
@@ -81,13 +83,13 @@ class KorniaDetector(KorniaPart, Detector):
         if self.name == "kornia-keynet":
             network = _with_budget(network, wanted)
             score, lafs = network.detect(tensor)
-            features = from_lafs(lafs, score)
+            features = Features.from_lafs(lafs, score)
             # kornia maps pixel u of a level that is f times smaller to u f, which is (u + 0.5) f - 0.5.
             factor = features.scale / network.mr_size
             features = replace(features, xy=features.xy + 0.5 * (factor - 1)[:, None])
             return replace(features, scale=values["frame"] * factor, level=_octave(factor))
         score, lafs = network.detect(tensor, wanted)
-        features = from_lafs(lafs, score)
+        features = Features.from_lafs(lafs, score)
         return replace(features, level=_octave(features.scale / (values["frame"] * values["init_sigma"])))
 
 
@@ -116,7 +118,7 @@ def _oriented(features: Features, tensor: Any, values: Mapping[str, Any]) -> Fea
     if values["orientation"] == "none" or not len(features):
         return features
     orient = import_kornia().LAFOrienter(ORIENTATION_PATCH).to(tensor.device)
-    turned = from_lafs(orient(features.to_lafs().to(tensor.device, tensor.dtype), tensor))
+    turned = Features.from_lafs(orient(features.to_lafs().to(tensor.device, tensor.dtype), tensor))
     return replace(features, angle=turned.angle)
 
 

@@ -16,13 +16,12 @@ from typing import Any
 import numpy as np
 
 from featreg.interfaces import Detector
-from featreg.opencv import (
+from featreg.interop.opencv import (
     NORMALISE,
     Algorithm,
     Parameter,
     clear_errors,
     clearance,
-    from_keypoints,
     grey,
     on_data,
     orb_to_true,
@@ -108,7 +107,7 @@ class OpenCVDetector(Detector):
                 if values.get("describe")
                 else (detector.detect(picture, mask),)
             )
-        features = from_keypoints(*found)
+        features = Features.from_keypoints(*found)
         if algorithm.true_xy is not None and values["half_pixel"]:
             features = replace(features, xy=algorithm.true_xy(values, features, image.shape))
         return _best(features.take(on_data(features, image)), self.parameters["n_features"])

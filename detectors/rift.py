@@ -9,9 +9,9 @@ import numpy as np
 from featreg.errors import ParameterError
 from featreg.interfaces import Detector
 from featreg.registry import register
-from featreg.sar.corners import fast_corners, orientation, refine_centroid
-from featreg.sar.log_gabor import LogGabor
-from featreg.sar.phase_congruency import Congruency, bytes_of, congruency_maps, without_rim
+from featreg.sar.gradients.log_gabor import LogGabor
+from featreg.sar.gradients.phase_congruency import Congruency, bytes_of, congruency_maps, without_rim
+from featreg.sar.keypoints.corners import fast_corners, orientation, refine_centroid
 from featreg.sar.pyramid import SUPPORT, clear
 from featreg.types import Features, FloatArray, Image, IntArray
 
@@ -35,9 +35,9 @@ class PhaseCongruency(Detector):
     scales, orientations : number of log-Gabor filters
     min_wavelength : of the finest scale, px
     multiplier : ratio of the wavelengths of two neighbouring scales
-    bandwidth : of a filter, see `featreg.sar.log_gabor.LogGabor`
+    bandwidth : of a filter, see `featreg.sar.gradients.log_gabor.LogGabor`
     noise : standard deviations above the mean noise energy that counts as structure
-    floor : added to the sum of amplitudes, see `featreg.sar.phase_congruency`
+    floor : added to the sum of amplitudes, see `featreg.sar.gradients.phase_congruency`
     view : "soft-log" or "amplitude", what is filtered
 
     Notes
@@ -45,10 +45,10 @@ class PhaseCongruency(Detector):
     J. Li, Q. Hu, M. Ai, "RIFT: multi-modal image matching based on radiation-variation insensitive feature transform",
     IEEE TIP 29 (2020) 3296, DOI 10.1109/TIP.2019.2959244, Eq. 1 to 10. Departures: the edge points are FAST corners of
     the maximum moment, as in the authors' program; scales, orientations, wavelengths, bandwidth, noise, floor and view
-    are those that find SAR corners again (`featreg.sar.phase_congruency` says why; the preset rift-paper holds the
-    paper's): two very broad filters at 6 and 18 px in four directions, a third of the paper's transforms, are short
-    both across an edge and along it: the error of matches of two dates is 0.73 px, where narrower filters at 4 and 12
-    px in six directions leave 0.77; positions are sub-pixel, without which it is 0.82 px; the angle, towards the
+    are those that find SAR corners again (`featreg.sar.gradients.phase_congruency` says why; the preset rift-paper
+    holds the paper's): two very broad filters at 6 and 18 px in four directions, a third of the paper's transforms, are
+    short both across an edge and along it: the error of matches of two dates is 0.73 px, where narrower filters at 4
+    and 12 px in six directions leave 0.77; positions are sub-pixel, without which it is 0.82 px; the angle, towards the
     centroid of the edge map, does not depend on how a sensor maps brightness.
     """
 

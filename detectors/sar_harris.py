@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from featreg.errors import ParameterError
 from featreg.interfaces import Detector
 from featreg.registry import register
-from featreg.sar.gradient_field import filled_gradients, from_base, octave, ratio_field
-from featreg.sar.gradient_histograms import dominant_orientation
-from featreg.sar.maxima import interpolated, local_maxima, parabola_peak, quadratic_peak
+from featreg.sar.gradients.gradient_field import filled_gradients, from_base, octave, ratio_field
+from featreg.sar.keypoints.gradient_histograms import dominant_orientation
+from featreg.sar.keypoints.maxima import interpolated, local_maxima, parabola_peak, quadratic_peak
 from featreg.sar.pyramid import clear, share_out, to_base
 from featreg.types import Features, FloatArray, Image, IntArray
 
@@ -146,7 +146,7 @@ def _response(gx: F32, gy: F32, sigma: float, d: float, scratch: F32) -> F32:
     """det - d trace^2 of the SAR-Harris matrix; `scratch` holds at least three floats for every pixel."""
     import cv2
 
-    from featreg.sar import harris_kernels
+    from featreg.sar.keypoints import harris_kernels
 
     maps = scratch[: 3 * gx.size].reshape(3, *gx.shape)
     harris_kernels.products(gx, gy, maps)

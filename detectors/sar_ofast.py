@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from featreg.errors import ParameterError
 from featreg.interfaces import Detector
 from featreg.registry import register
-from featreg.sar.corners import fast_corners, orientation, refine_centroid, refine_corner
+from featreg.sar.gradients.ratio import quantised_edges, ratio_gradients
+from featreg.sar.keypoints.corners import fast_corners, orientation, refine_centroid, refine_corner
 from featreg.sar.pyramid import REACH, SUPPORT, clear, pyramid, share_out, to_base
-from featreg.sar.ratio import quantised_edges, ratio_gradients
 from featreg.sar.speckle import despeckled
 from featreg.types import Features, Image
 

@@ -2,6 +2,6 @@
 
 import sys
 
-from featreg.cli import main
+from featreg.cli.main import main
 
 sys.exit(main())

@@ -10,18 +10,19 @@ from typing import Any
 
 import numpy as np
 
-from featreg.assembly import DEFAULT_METHOD, assemble
 from featreg.errors import InputError, ParameterError
+from featreg.exports.reading import read_tie_points
 from featreg.focusing.inputs import Focus, focused_inputs
 from featreg.geometry import as_model
 from featreg.interfaces import Matcher, Model
 from featreg.io import ImageLike, as_image
 from featreg.io.masks import MaskLike
 from featreg.io.raster_source import open_source, pixel_count
-from featreg.pipeline import Pipeline
-from featreg.tie_points import read_tie_points
-from featreg.timing import collecting, stage
-from featreg.types import Image, Matches, Registration
+from featreg.pipeline.assembly import DEFAULT_METHOD, assemble
+from featreg.pipeline.pipeline import Pipeline
+from featreg.results.registration import Registration
+from featreg.runtime.timing import collecting, stage
+from featreg.types import Image, Matches
 
 #: Images of more pixels are worked on in blocks of so many pixels a side.
 MOST_PIXELS = 4_000_000

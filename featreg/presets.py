@@ -21,8 +21,8 @@ class Preset:
 
     `filters` run in order; `refine` says whether refinement is on unless asked otherwise; `common_rotation` is that of
     `FeatureMatcher`; `model` is fitted unless another is asked for (None: the package's default); `robust` is that of
-    `Pipeline`; `trust` and `refinement` hold what differs from the defaults of `featreg.trust.Limits` and
-    `featreg.refine.Refine`.
+    `Pipeline`; `trust` and `refinement` hold what differs from the defaults of `featreg.pipeline.trust.Limits` and
+    `featreg.pipeline.refine.Refine`.
     """
 
     summary: str

@@ -40,7 +40,7 @@ KINDS: Mapping[str, type[Any]] = {
     "model": Model,
 }
 ROOMS = ("featreg.detectors", "featreg.descriptors", "featreg.matchers")
-CORE = ("featreg.geometry", "featreg.geolocation", "featreg.scale_search")
+CORE = ("featreg.geometry", "featreg.geolocation")
 
 # What values of parameters are, the narrower first: a bool is an int in Python.
 TYPES: tuple[tuple[tuple[type, ...], str], ...] = (

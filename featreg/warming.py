@@ -13,14 +13,14 @@ from featreg.errors import FeatregError
 SHAPE = (200, 200)
 #: The kernels of the default method, of the demonstration and of `warp`.
 DEFAULT = (
-    "featreg.resample_kernels",
-    "featreg.robust_kernels",
-    "featreg.sar.binary_kernels",
-    "featreg.sar.corner_kernels",
+    "featreg.products.resample_kernels",
+    "featreg.geometry.robust_kernels",
+    "featreg.sar.keypoints.binary_kernels",
+    "featreg.sar.keypoints.corner_kernels",
     "featreg.sar.correlation_kernels",
-    "featreg.sar.motion_kernels",
-    "featreg.sar.paint_kernels",
-    "featreg.sar.ratio_kernels",
+    "featreg.sar.keypoints.motion_kernels",
+    "featreg.simulate.paint_kernels",
+    "featreg.sar.gradients.ratio_kernels",
 )
 
 
@@ -35,7 +35,7 @@ def warm_up() -> None:
     from featreg.focusing import focus
     from featreg.matching import match
     from featreg.presets import PRESETS
-    from featreg.resample import warp
+    from featreg.products.resample import warp
     from featreg.simulate import sar_pair
 
     pair = sar_pair(SHAPE, rotation_deg=3.0, scale=1.0, shift=(2.0, 1.0))

@@ -78,7 +78,7 @@ Neighbours = tuple[IntArray, IntArray, FloatArray, FloatArray]
 
 
 def _hamming(a: NDArray[Any], b: NDArray[Any], ratio: bool) -> Neighbours:
-    from featreg.sar import binary_kernels
+    from featreg.sar.keypoints import binary_kernels
 
     x, y = as_words(a), np.ascontiguousarray(as_words(b).T)
     rows, columns = np.full(len(a), LARGEST, np.uint64), np.full(len(b), LARGEST, np.uint64)
@@ -104,7 +104,7 @@ def _euclidean(a: NDArray[Any], b: NDArray[Any], ratio: bool) -> Neighbours:
 
     With [a, |a|^2, 1] and [-2b, 1, |b|^2] the product is |a|^2 + |b|^2 - 2ab.
     """
-    from featreg.sar import distance_kernels
+    from featreg.sar.keypoints import distance_kernels
 
     # Distances stay; the large common part, which would cancel in the sum, goes. Whole numbers stay whole.
     centre = np.rint(b.mean(axis=0))

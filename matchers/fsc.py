@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from featreg.errors import ParameterError
+from featreg.geometry.robust import fit_consensus
 from featreg.interfaces import Filter, FilterContext
 from featreg.registry import register
-from featreg.robust import fit_consensus
 from featreg.types import BoolArray, Matches
 
 
@@ -33,9 +33,9 @@ class Fsc(Filter):
     are equal, and so say nothing, all matches are drawn from.
 
     Departures: hypotheses are compared by the truncated quadratic cost instead of the number of inliers and polished by
-    least squares, and the search stops when the confidence is reached (see `featreg.robust.fit_consensus`, which also
-    says how models without hypotheses of their own are sought: by affine ones within a wider threshold). The paper's
-    iterative removal of the worst tie points afterwards is a matter of refinement and not part of this filter.
+    least squares, and the search stops when the confidence is reached (see `featreg.geometry.robust.fit_consensus`,
+    which also says how models without hypotheses of their own are sought: by affine ones within a wider threshold). The
+    paper's iterative removal of the worst tie points afterwards is a matter of refinement and not part of this filter.
 
     References
     ----------

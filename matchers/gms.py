@@ -66,7 +66,7 @@ class Gms(Filter):
 
     def _best_turn(self, lefts: list[IntArray], right: IntArray, side: int) -> BoolArray:
         """The matches kept by the turn that keeps most, each turn joined over the four shifts of the grid."""
-        from featreg.sar import motion_kernels
+        from featreg.sar.keypoints import motion_kernels
 
         cells = self.grid * self.grid
         counts = np.empty((cells, side * side), np.int64)

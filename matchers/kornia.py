@@ -15,11 +15,13 @@ import numpy as np
 
 from featreg.errors import ParameterError
 from featreg.interfaces import Matcher, Nearest
-from featreg.kornia import COMMON, KorniaPart, Row, import_kornia
+from featreg.interop.kornia import COMMON, KorniaPart, Row, import_kornia
+from featreg.interop.torch_arrays import as_device, inference, to_tensor
 from featreg.registry import Kind, register_family
-from featreg.timing import stage
-from featreg.torch_arrays import as_device, import_torch, inference, to_lafs, to_numpy, to_tensor
+from featreg.runtime.optional import import_torch
+from featreg.runtime.timing import stage
 from featreg.types import BoolArray, Features, FloatArray, Image, IntArray, Matches
+from featreg.types.lafs import to_numpy
 
 BUDGET = 5000
 
@@ -65,7 +67,7 @@ class KorniaNearest(KorniaPart, Nearest):
         device = as_device(self.parameters["device"])
         with inference(self.parameters["threads"]):
             a, b = (torch.from_numpy(table).to(device) for table in tables)
-            frames = [to_lafs(features).to(device, torch.float32) for features in (reference, secondary)]
+            frames = [features.to_lafs().to(device, torch.float32) for features in (reference, secondary)]
             pairs, score = self.row.run(network, self.parameters, a, b, *frames)
         rows = to_numpy(pairs, np.int64).reshape(-1, 2)
         order = np.lexsort((rows[:, 1], rows[:, 0]))

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from featreg.errors import ParameterError
+from featreg.geometry.robust import fit_consensus
 from featreg.interfaces import FailedFit, Filter, FilterContext
 from featreg.registry import register
-from featreg.robust import fit_consensus
-from featreg.sar.cancellation import cancelled, check
+from featreg.sar.obcls.cancellation import cancelled, check
 from featreg.types import BoolArray, FloatArray, Matches
 
 STARTS = ("all", "consensus")
@@ -33,7 +33,8 @@ class Mad(Filter):
     Notes
     -----
     The errors are those of the least-squares fit of the context's model to what is left, with equal weights as in the
-    paper (Eq. 3); see `featreg.sar.cancellation.cancelled`. From a first fit to all tie points, most must be good.
+    paper (Eq. 3); see `featreg.sar.obcls.cancellation.cancelled`. From a first fit to all tie points, most must be
+    good.
 
     References
     ----------

@@ -10,9 +10,9 @@ from featreg.errors import ParameterError, suggest
 from featreg.geometry import Rigid
 from featreg.interfaces import Matcher
 from featreg.registry import register
-from featreg.sar.association import Map
-from featreg.sar.patch_location import SAMPLES, PatchLocation, check_samples
-from featreg.timing import stage
+from featreg.runtime.timing import stage
+from featreg.sar.obcls.association import Map
+from featreg.sar.obcls.patch_location import SAMPLES, PatchLocation, check_samples
 from featreg.types import FloatArray, Image, Matches
 
 

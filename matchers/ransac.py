@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from featreg.errors import ParameterError, suggest
+from featreg.geometry.robust import fit_consensus
 from featreg.interfaces import Filter, FilterContext, Model
 from featreg.registry import model_name, register
-from featreg.robust import fit_consensus
 from featreg.types import BoolArray, Matches
 
 USAC = ("usac-default", "usac-fast", "usac-accurate", "usac-magsac")
@@ -46,8 +46,8 @@ class Ransac(Filter):
     Only "own" draws from the context's random generator. OpenCV's estimators seed themselves: `cv2.setRNGSeed` does not
     reach them, equal input gives equal output. They compute in float32, so they are given centred coordinates.
     USAC_PROSAC is left out: it needs sorted matches and accepts models of three inliers. "lmeds" needs more than half
-    of the matches to be good. `featreg.robust.fit_consensus` documents "own", also for models without hypotheses of
-    their own.
+    of the matches to be good. `featreg.geometry.robust.fit_consensus` documents "own", also for models without
+    hypotheses of their own.
     """
 
     threshold: float = 3.0

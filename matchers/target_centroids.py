@@ -11,11 +11,11 @@ from featreg.errors import ParameterError, suggest
 from featreg.geometry import Rigid
 from featreg.interfaces import Matcher
 from featreg.registry import register
-from featreg.sar.association import Association, Map, fourier_mellin, nearest, outstanding, verified, vote
-from featreg.sar.cancellation import cancelled_fit
-from featreg.sar.patch_location import PatchLocation, check_samples
-from featreg.sar.targets import targets
-from featreg.timing import stage
+from featreg.runtime.timing import stage
+from featreg.sar.obcls.association import Association, Map, fourier_mellin, nearest, outstanding, verified, vote
+from featreg.sar.obcls.cancellation import cancelled_fit
+from featreg.sar.obcls.patch_location import PatchLocation, check_samples
+from featreg.sar.obcls.targets import targets
 from featreg.types import FloatArray, Image, Matches
 
 TIE_POINTS = ("c", "cc", "rc")
@@ -41,8 +41,8 @@ class TargetCentroids(Matcher):
     subpixel : whether the correlation peak is interpolated
     centred : "common" (both patches around the reference target) or "each" (each around its own), in a first pass
         without alignment
-    cfar, pfa, guard, train, looks, rank, trim : method and parameters of `featreg.sar.cfar.detect`
-    order, median, min_area, zeros_are_data : of `featreg.sar.targets.targets`
+    cfar, pfa, guard, train, looks, rank, trim : method and parameters of `featreg.sar.obcls.cfar.detect`
+    order, median, min_area, zeros_are_data : of `featreg.sar.obcls.targets.targets`
     chance : log10 of the expected number of associations as good in a random scene, at most, for "vote" and
         "fourier-mellin"; else there are no tie points
     n_features : most targets per image, the largest first

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 import featreg
 from featreg.errors import CancelledError, FeatregError, InputError, ParameterError, UnknownNameError
 from featreg.focusing import METHODS
-from featreg.sar.azimuth_filter import image_entropy
-from featreg.sar.legendre_phase import legendre_basis
-from featreg.sar.phase_error import Band
-from featreg.sar.pulse_spectra import PulseSpectra, grouped, pulse_spectra
-from featreg.sar.range_cells import cell_energies, choose_cells, count_points
+from featreg.focusing.azimuth_filter import image_entropy
+from featreg.focusing.legendre_phase import legendre_basis
+from featreg.focusing.phase_error import Band
+from featreg.focusing.pulse_spectra import PulseSpectra, grouped, pulse_spectra
+from featreg.focusing.range_cells import cell_energies, choose_cells, count_points
 
 SIDE = 256
 BAND = np.abs(np.fft.fftfreq(SIDE)) < 0.4

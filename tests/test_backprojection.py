@@ -12,9 +12,9 @@ import pytest
 from numpy.typing import NDArray
 
 from featreg.errors import ParameterError, PluginUnavailableError
-from featreg.io.phase_history import PhaseHistory, read_phase_history
-from featreg.sar.backprojection import SPEED_OF_LIGHT as C
-from featreg.sar.backprojection import GroundGrid, back_project, carrier
+from featreg.focusing.backprojection import SPEED_OF_LIGHT as C
+from featreg.focusing.backprojection import GroundGrid, back_project, carrier
+from featreg.focusing.phase_history import PhaseHistory, read_phase_history
 
 BAND, LOW, COUNT = 600e6, 9.3e9, 64
 SPAN, PULSES = 3.0, 60

@@ -14,16 +14,16 @@ import featreg
 from featreg import registry
 from featreg.errors import ParameterError
 from featreg.io import as_image
-from featreg.sar import bilateral
-from featreg.sar.bilateral import (
+from featreg.sar.gradients import bilateral
+from featreg.sar.gradients.bilateral import (
     BilateralSpace,
     bilateral_extrema,
     bilateral_field,
     bilateral_levels,
     noise_level,
 )
-from featreg.sar.gradient_field import from_base
-from featreg.sar.gradient_histograms import dominant_orientation, gloh, normalised
+from featreg.sar.gradients.gradient_field import from_base
+from featreg.sar.keypoints.gradient_histograms import dominant_orientation, gloh, normalised
 from featreg.sar.pyramid import pyramid
 from featreg.sar.speckle import log_amplitude
 from featreg.simulate import SimulatedPair
@@ -164,7 +164,7 @@ def test_extrema_are_those_among_26_neighbours(shape: tuple[int, int, int], tied
     """Against the filters of scipy, also where many neighbours are equal, of which the first counts."""
     from scipy.ndimage import maximum_filter
 
-    from featreg.sar import bilateral_kernels
+    from featreg.sar.gradients import bilateral_kernels
 
     rng = np.random.default_rng(0)
     levels = (rng.integers(0, 4, shape) if tied else rng.normal(size=shape)).astype(np.float32)

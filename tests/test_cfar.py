@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from featreg.errors import ParameterError
-from featreg.sar import cfar
+from featreg.sar.obcls import cfar
 
 every = pytest.mark.parametrize("method", cfar.METHODS)
 SIDES = ("goca", "soca")

@@ -16,16 +16,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from featreg import cli, registry
+from featreg import registry
 from featreg._version import __version__
-from featreg.cli import main
-from featreg.commands import info as cli_info
-from featreg.commands import match as cli_match
-from featreg.commands.options import parse_settings
+from featreg.cli import info as cli_info
+from featreg.cli import main as cli
+from featreg.cli import match as cli_match
+from featreg.cli.main import main
+from featreg.cli.options import parse_settings
 from featreg.errors import ParameterError
 from featreg.io import as_image, write_geotiff
+from featreg.results.registration import Registration
 from featreg.simulate import sar_pair
-from featreg.types import Geolocation, Registration
+from featreg.types import Geolocation
 
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 SIDE = 256
@@ -485,7 +487,7 @@ def test_version_and_help(run: Run) -> None:
 
 
 def _process(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-W", "always", "-m", "featreg.cli", *arguments]
+    command = [sys.executable, "-W", "always", "-m", "featreg", *arguments]
     return subprocess.run(command, capture_output=True, text=True, cwd=folder, check=False)
 
 
@@ -503,9 +505,9 @@ def test_exit_codes_of_the_process(folder: Path, tmp_path: Path) -> None:
 
 def test_help_imports_nothing_heavy() -> None:
     code = (
-        "import sys, featreg.cli\n"
+        "import sys, featreg.cli.main\n"
         "heavy = {'numpy', 'cv2', 'numba', 'scipy', 'rasterio', 'matplotlib', 'pandas'} & set(sys.modules)\n"
-        "sys.exit(f'imports {heavy}' if heavy else featreg.cli.main(['--help']))"
+        "sys.exit(f'imports {heavy}' if heavy else featreg.cli.main.main(['--help']))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

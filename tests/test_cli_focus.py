@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from featreg.cli import main
+from featreg.cli.main import main
+from featreg.focusing.azimuth_filter import image_entropy
 from featreg.io import as_image, write_geotiff
-from featreg.sar.azimuth_filter import image_entropy
 from featreg.types import Geolocation
 
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")

@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from featreg.cli import main
+from featreg.cli.main import main
 from featreg.geometry import Affine
 from featreg.interfaces import FailedFit, Model
 from featreg.io import as_image, write_geotiff
-from featreg.types import Geolocation, Matches, Registration
+from featreg.results.registration import Registration
+from featreg.types import Geolocation, Matches
 
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 

@@ -16,12 +16,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from featreg.comparison import compare
 from featreg.errors import CancelledError, InputError, ParameterError, UnknownNameError
 from featreg.geometry import Rigid
 from featreg.interfaces import FailedFit, Matcher
-from featreg.table import COLUMNS, Table
-from featreg.types import Image, Matches, Registration
+from featreg.results.registration import Registration
+from featreg.study.comparison import compare
+from featreg.study.table import COLUMNS, Table
+from featreg.types import Image, Matches
 
 TRUTH = Rigid(4.0, 3.0, -2.0)
 #: method -> (matches at GMS, px of error of each)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from featreg.sar import corner_kernels
-from featreg.sar.corners import fast_corners, orientation, refine_centroid, refine_corner
+from featreg.sar.keypoints import corner_kernels
+from featreg.sar.keypoints.corners import fast_corners, orientation, refine_centroid, refine_corner
 from featreg.sar.pyramid import share_out
 
 cv2 = pytest.importorskip("cv2")

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from featreg.cli import main
-from featreg.demo import METHODS, demonstrate
+from featreg.cli.demo import METHODS, demonstrate
+from featreg.cli.main import main
 from featreg.errors import InputError
-from featreg.types import Registration
+from featreg.results.registration import Registration
 from featreg.warming import DEFAULT, kernels_cached, ready, warm_up
 
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
@@ -73,6 +73,6 @@ def test_every_compiled_function_is_in_a_module_of_kernels() -> None:
     import featreg
 
     root = Path(featreg.__file__).parent
-    using = {path for path in root.rglob("*.py") if "from featreg.jit import" in path.read_text()}
+    using = {path for path in root.rglob("*.py") if "from featreg.runtime.jit import" in path.read_text()}
     assert using
     assert all(path.stem.endswith("_kernels") for path in using)

@@ -11,7 +11,10 @@ import numpy as np
 import pytest
 
 from featreg.errors import InputError, ParameterError
-from featreg.evaluation import (
+from featreg.geometry import Affine, Translation
+from featreg.interfaces import FailedFit
+from featreg.results.registration import Registration
+from featreg.study.evaluation import (
     evaluate,
     grid_points,
     grid_rmse,
@@ -22,10 +25,8 @@ from featreg.evaluation import (
     spread,
     stage_mask,
 )
-from featreg.geometry import Affine, Translation
-from featreg.interfaces import FailedFit
-from featreg.truth import Truth, read_truth
-from featreg.types import Matches, Registration
+from featreg.study.truth import Truth, read_truth
+from featreg.types import Matches
 
 MATRIX = np.array([[1.02, 0.1, 5.0], [-0.08, 0.97, -3.0]])
 TRUTH = Affine(MATRIX)

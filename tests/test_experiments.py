@@ -18,15 +18,16 @@ import numpy as np
 import pytest
 
 import featreg
-from featreg import Experiment, prediction_cache
-from featreg.cli import main
+from featreg import Experiment
+from featreg.cli.main import main
 from featreg.errors import FeatregError, InputError, ParameterError, UnknownNameError
-from featreg.experiments.pairs import pairs_in
-from featreg.experiments.protocol import Protocol
-from featreg.experiments.report_data import report_of
-from featreg.experiments.study import Study
 from featreg.io import as_image, write_geotiff
+from featreg.report.study_page import report_of
 from featreg.simulate import sar_pair
+from featreg.study import prediction_cache
+from featreg.study.pairs import pairs_in
+from featreg.study.protocol import Protocol
+from featreg.study.study import Study
 from featreg.types import Geolocation
 
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
@@ -330,7 +331,7 @@ def test_truth_from_the_images_own_geolocation(tmp_path: Path) -> None:
     for name, image, (x, y) in (("a", pair.reference, (0, 0)), ("b", pair.secondary, (-4, 6))):
         place = Geolocation((10.0, 0.0, 5e5 + 10 * x, 0.0, -10.0, 6e6 - 10 * y), "EPSG:32632")
         write_geotiff(tmp_path / f"{name}.tif", image, place)
-    truth = featreg.experiments.pairs.resolve([(tmp_path / "a.tif", tmp_path / "b.tif", "geolocation")])[0].truth
+    truth = featreg.study.pairs.resolve([(tmp_path / "a.tif", tmp_path / "b.tif", "geolocation")])[0].truth
     assert truth is not None
     np.testing.assert_allclose(truth([[10, 20], [100, 90]]), [[14, 14], [104, 84]], atol=1e-3)
     (row,) = featreg.compare([(tmp_path / "a.tif", tmp_path / "b.tif", "geolocation")], ["orb"], timing=False).rows
@@ -338,7 +339,7 @@ def test_truth_from_the_images_own_geolocation(tmp_path: Path) -> None:
     write_geotiff(tmp_path / "c.tif", pair.secondary)
     with pytest.raises(InputError, match=r"pair 1: .*c\.tif.*nothing says where the image lies"):
         featreg.compare([(tmp_path / "a.tif", tmp_path / "c.tif", "geolocation")], ["orb"])
-    same = featreg.experiments.pairs.resolve([(tmp_path / "a.tif", tmp_path / "c.tif", "identity")])[0].truth
+    same = featreg.study.pairs.resolve([(tmp_path / "a.tif", tmp_path / "c.tif", "identity")])[0].truth
     assert same is not None
     assert str(same) == "identity"
 
@@ -408,7 +409,7 @@ def test_misuse_is_one_line(arguments: list[str], words: list[str], run: Run) ->
 @pytest.mark.slow
 def test_killed_and_resumed_it_ends_identical(folder: Path, tmp_path: Path) -> None:
     """SIGKILL at several moments; the table, times included where they had been kept, is that of the kept results."""
-    command = [sys.executable, "-m", "featreg.cli", "compare", str(folder), "--methods", "orb,sar-orb"]
+    command = [sys.executable, "-m", "featreg", "compare", str(folder), "--methods", "orb,sar-orb"]
     command += ["--no-times", "--format", "csv", "--metrics", "+recall,auc@3"]
     whole = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     kept = tmp_path / "kept"

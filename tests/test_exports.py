@@ -10,18 +10,19 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from featreg.cli import main
-from featreg.commands.export import NAMES
+from featreg.cli.export import NAMES
+from featreg.cli.main import main
 from featreg.errors import InputError, ParameterError
 from featreg.exports.colmap import pair_id
 from featreg.exports.formats import FORMATS, export
+from featreg.exports.reading import PIXEL_OFFSETS, read_tie_points
 from featreg.geometry import Affine
 from featreg.interfaces import FailedFit
 from featreg.io import write_geotiff
 from featreg.matching import fit
-from featreg.tie_points import PIXEL_OFFSETS, read_tie_points
-from featreg.truth import read_truth
-from featreg.types import Geolocation, Matches, Registration
+from featreg.results.registration import Registration
+from featreg.study.truth import read_truth
+from featreg.types import Geolocation, Matches
 
 rasterio = pytest.importorskip("rasterio")
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
@@ -241,7 +242,7 @@ def test_every_format_is_listed_everywhere() -> None:
     assert tuple(FORMATS) == NAMES
     assert set(FORMATS) - {"rpc"} == set(PIXEL_OFFSETS)
     modules = {p.stem for p in Path(__file__).parents[1].joinpath("featreg", "exports").glob("*.py")}
-    assert modules == {*FORMATS, "__init__", "content", "formats"}
+    assert modules == {*FORMATS, "__init__", "content", "formats", "reading"}
 
 
 @pytest.mark.parametrize("name", sorted(set(FORMATS) - {"rpc"}))
@@ -258,7 +259,7 @@ def test_nothing_to_export_is_no_error(tmp_path: Path, name: str) -> None:
 
 
 def test_the_tie_points_of_the_result_itself_are_not_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("featreg.result_file.MAX_ROWS", 5)
+    monkeypatch.setattr("featreg.results.json_file.MAX_ROWS", 5)
     result, beside = tmp_path / "r.json", tmp_path / "r.tie_points.parquet"
     made(tmp_path).to_json(result)
     before = beside.read_bytes()

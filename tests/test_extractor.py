@@ -10,7 +10,7 @@ import pytest
 
 import featreg
 from featreg.errors import ParameterError, UnknownNameError
-from featreg.extraction import Extractor, extractor
+from featreg.interop.extraction import Extractor, extractor
 from featreg.simulate import sar_pair
 
 IMAGE = sar_pair((256, 256), seed=1).reference

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from featreg import registry
 from featreg.errors import ParameterError
-from featreg.feature_matcher import FeatureMatcher, common_rotation
 from featreg.interfaces import Detector
 from featreg.io import as_image
+from featreg.pipeline.feature_matcher import FeatureMatcher, common_rotation
 from featreg.simulate import SimulatedPair
 from featreg.types import Features, Image, Matches
 

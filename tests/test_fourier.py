@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from featreg.sar.fourier import fast_length, inverse_transform, transform
+from featreg.sar.gradients.fourier import fast_length, inverse_transform, transform
 
 
 @pytest.mark.parametrize("shape", [(16, 16), (48, 80), (224, 176), (1, 16)])

@@ -14,8 +14,8 @@ import featreg
 from featreg import registry
 from featreg.errors import ParameterError
 from featreg.io import as_image
-from featreg.sar import gabor
-from featreg.sar.gabor import gabor_gradients, half_filters
+from featreg.sar.gradients import gabor
+from featreg.sar.gradients.gabor import gabor_gradients, half_filters
 from featreg.simulate import SimulatedPair
 from featreg.types import Features, Image
 

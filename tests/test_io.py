@@ -381,7 +381,8 @@ def test_images_are_locked_and_io_is_imported_light(tmp_path: Path) -> None:
     image = as_image(GRAY)
     assert isinstance(image, Image)
     assert not image.pixels.flags.writeable
-    code = "import sys, featreg.io, featreg.resample; print(*{'rasterio', 'scipy', 'cv2', 'numba'} & set(sys.modules))"
+    code = "import sys, featreg.io, featreg.products.resample\n"
+    code += "print(*{'rasterio', 'scipy', 'cv2', 'numba'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == ""
 

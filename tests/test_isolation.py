@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from featreg.comparison import compare
 from featreg.errors import InputError, ParameterError
-from featreg.experiments.isolation import IsolatedExecutor, WorkerLostError
+from featreg.runtime.isolation import IsolatedExecutor, WorkerLostError
+from featreg.study.comparison import compare
 
 ROGUES = """
 import ctypes, os, signal, sys, time
@@ -241,7 +241,7 @@ def test_workers_die_with_their_parent(rogues: Any, tmp_path: Path) -> None:
         "import sys\n"
         f"sys.path.insert(0, {str(Path(rogues.__file__).parent)!r})\n"
         "import rogues\n"
-        "from featreg.experiments.isolation import IsolatedExecutor\n"
+        "from featreg.runtime.isolation import IsolatedExecutor\n"
         "if __name__ == '__main__':\n"
         "    executor = IsolatedExecutor(1)\n"
         "    print(executor.submit(rogues.threads).result()[2], flush=True)\n"

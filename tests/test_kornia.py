@@ -16,13 +16,13 @@ import pytest
 from numpy.typing import NDArray
 
 import featreg
-from featreg import kornia as featreg_kornia
 from featreg import registry
 from featreg.errors import FeatregError, InputError, ParameterError, PluginUnavailableError
+from featreg.interop import kornia as featreg_kornia
+from featreg.interop.torch_arrays import as_device, inference, to_image, to_tensor
 from featreg.io import as_image
 from featreg.presets import PRESETS
 from featreg.simulate import SimulatedPair
-from featreg.torch_arrays import as_device, from_lafs, inference, to_image, to_lafs, to_tensor
 from featreg.types import Features
 
 torch = pytest.importorskip("torch")
@@ -80,14 +80,14 @@ def test_a_frame_is_what_kornia_makes_of_centre_scale_and_angle() -> None:
 
 def test_features_survive_the_way_to_frames_and_back() -> None:
     given = features(width=8)
-    again = Features.from_lafs(to_lafs(given), given.score, given.descriptors)
+    again = Features.from_lafs(given.to_lafs(), given.score, given.descriptors)
     for name in ("xy", "scale", "angle", "score", "descriptors"):
         np.testing.assert_allclose(getattr(again, name), getattr(given, name), rtol=1e-12, atol=1e-9)
 
 
 def test_padding_is_left_out_and_an_elongated_or_mirrored_frame_becomes_a_circle() -> None:
     lafs = torch.tensor([[[[8.0, 0, 5], [0, -2, 7]], [[0, 0, 0], [0, 0, 0]]]])
-    found = from_lafs(lafs, [3.0, 0.0], np.ones((2, 4), np.float32))
+    found = Features.from_lafs(lafs, [3.0, 0.0], np.ones((2, 4), np.float32))
     assert found.xy.tolist() == [[5, 7]]
     assert found.scale.tolist() == pytest.approx([4])
     assert found.score.tolist() == [3]
@@ -136,7 +136,7 @@ def test_more_than_one_image_is_refused(shape: tuple[int, ...]) -> None:
 @pytest.mark.parametrize("shape", [(2, 3), (2, 4, 2, 3), (4, 2, 2)])
 def test_what_is_no_frame_is_refused(shape: tuple[int, ...]) -> None:
     with pytest.raises(InputError, match="LAFs have shape"):
-        from_lafs(torch.zeros(shape))
+        Features.from_lafs(torch.zeros(shape))
 
 
 @pytest.mark.parametrize("name", ["tpu9", "", "cuda:99"])
@@ -576,7 +576,7 @@ from featreg.types import Features
 kinds = ("detector", "descriptor", "nearest", "matcher")
 entries = [e for k in kinds for e in registry.entries(k) if "kornia" in e.name]
 assert len(entries) > 15
-assert all(e.unavailable == "torch is not installed; pip install featreg[torch]" for e in entries), entries
+assert all(e.unavailable == "torch is not installed; pip install 'featreg[torch]'" for e in entries), entries
 assert not registry.broken()
 assert not [n for n in featreg.available("detector") if "kornia" in n]
 for call in (
@@ -588,7 +588,7 @@ for call in (
     try:
         call()
     except featreg.errors.PluginUnavailableError as error:
-        assert "pip install featreg[torch]" in str(error)
+        assert "pip install 'featreg[torch]'" in str(error)
     else:
         raise SystemExit("no error")
 """

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from featreg.errors import InputError, ParameterError
+from featreg.exports.reading import read_tie_points
 from featreg.geometry import Affine, Translation
 from featreg.marking.points import MarkedPoints, left_out_errors
 from featreg.marking.tiles import TiledScene
-from featreg.tie_points import read_tie_points
-from featreg.truth import read_truth
+from featreg.study.truth import read_truth
 
 TRUTH = Affine(np.array([[1.01, -0.05, 4.0], [0.04, 0.99, 7.0]]))
 PLACES = np.array([[10.0, 12.0], [90.0, 15.0], [20.0, 80.0], [85.0, 70.0], [50.0, 40.0]])

@@ -15,9 +15,9 @@ from urllib.request import Request, urlopen
 import numpy as np
 import pytest
 
-from featreg.tie_points import read_tie_points
+from featreg.exports.reading import read_tie_points
 
-RUN = "from featreg.cli import main; raise SystemExit(main())"
+RUN = "from featreg.cli.main import main; raise SystemExit(main())"
 SHIFT = np.array([6.0, -4.0])
 PLACES = np.array([[40.0, 40.0], [160.0, 50.0], [50.0, 150.0], [150.0, 140.0]])
 

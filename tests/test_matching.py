@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 
 import featreg
 from featreg import registry
-from featreg.assembly import assemble
 from featreg.errors import InputError, ParameterError, UnknownNameError
-from featreg.feature_matcher import FeatureMatcher
 from featreg.geometry import Affine, Similarity
 from featreg.interfaces import Matcher
+from featreg.pipeline.assembly import assemble
+from featreg.pipeline.feature_matcher import FeatureMatcher
+from featreg.results.registration import Registration
 from featreg.simulate import SimulatedPair, sar_pair
-from featreg.types import Image, Matches, Registration
+from featreg.types import Image, Matches
 
 
 def grid_rmse(found: Registration, truth: NDArray[np.float64], size: int = 300) -> float:

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from featreg import registry
 from featreg.errors import ParameterError
 from featreg.io import as_image
-from featreg.sar import index_map
-from featreg.sar.index_map import Cells, cell_list, level_bits, places_of, turned_histograms, turned_triples
-from featreg.sar.log_gabor import LogGabor
-from featreg.sar.phase_congruency import STEPS, Congruency, bytes_of, congruency_maps
+from featreg.sar.gradients.log_gabor import LogGabor
+from featreg.sar.gradients.phase_congruency import STEPS, Congruency, bytes_of, congruency_maps
+from featreg.sar.keypoints import index_map
+from featreg.sar.keypoints.index_map import Cells, cell_list, level_bits, places_of, turned_histograms, turned_triples
 from featreg.types import Features, Image
 
 Texture = Callable[..., NDArray[np.float32]]

@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 
 from featreg.errors import InputError, ParameterError, UnknownNameError
-from featreg.evaluation import area_under_curve, repeatable
-from featreg.experiments.intervals import Interval, interval
-from featreg.experiments.metrics import FAMILIES, METRICS, Case, check_metrics, measured, metric_of, of_failure
 from featreg.geometry import Affine, Translation
 from featreg.interfaces import FailedFit
-from featreg.truth import read_truth
-from featreg.types import Matches, Registration
+from featreg.results.registration import Registration
+from featreg.study.evaluation import area_under_curve, repeatable
+from featreg.study.intervals import Interval, interval
+from featreg.study.metrics import FAMILIES, METRICS, Case, check_metrics, measured, metric_of, of_failure
+from featreg.study.truth import read_truth
+from featreg.types import Matches
 
 SHIFT = Translation(dx=10.0, dy=0.0)
 SHAPE = (100, 200)
@@ -171,7 +172,7 @@ def test_an_interval_is_short_but_not_rounded_to_tens() -> None:
 
 
 def test_a_mean_says_how_many_pairs_it_leaves_out() -> None:
-    from featreg.table import Table
+    from featreg.study.table import Table
 
     rows = [
         {"pair": pair, "method": method, "status": "ok", "grid_rmse": value, "reason": ""}

@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 import featreg
 from featreg import registry
 from featreg.errors import InputError, ParameterError
+from featreg.focusing.backprojection import back_project
 from featreg.geometry import Rigid
 from featreg.interfaces import FilterContext
 from featreg.io import as_image
-from featreg.resample import resample
-from featreg.sar.alignment import aligned
-from featreg.sar.association import Map, fourier_mellin, nearest, vote
-from featreg.sar.backprojection import back_project
-from featreg.sar.cancellation import cancelled, cancelled_fit
-from featreg.sar.patches import patch_shifts
+from featreg.products.resample import resample
+from featreg.sar.obcls.alignment import aligned
+from featreg.sar.obcls.association import Map, fourier_mellin, nearest, vote
+from featreg.sar.obcls.cancellation import cancelled, cancelled_fit
+from featreg.sar.obcls.patches import patch_shifts
 from featreg.types import Matches
 
 Floats = NDArray[np.float64]
@@ -415,7 +415,7 @@ def test_complex_correlation_needs_complex_images() -> None:
 @pytest.mark.slow
 def test_real_couples_are_right_or_refused(realdata: Path) -> None:
     """The next degree of azimuth, turned and shifted: right; out of focus or mostly replaced: right or unreliable."""
-    history = featreg.io.read_phase_history(realdata / "gotcha")
+    history = featreg.read_phase_history(realdata / "gotcha")
     images = [back_project(history.select(i, i + 1)).pixels for i in range(3)]
     centre = np.array([[250.0, 250.0]])
     couples = [((0, 1), 11.37, (20.0, -35.0)), ((1, 2), -143.6, (0.0, 60.0)), ((0, 2), 4.0, (0.0, 0.0))]

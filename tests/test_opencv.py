@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import featreg.opencv as featreg_opencv
+import featreg.interop.opencv as featreg_opencv
 from featreg import registry
 from featreg.errors import InputError, ParameterError, PluginUnavailableError
+from featreg.runtime.threads import single_threaded
 from featreg.sar.normalise import to_uint8
 from featreg.types import Features, Image
 
@@ -463,6 +464,6 @@ class TestTable:
 
     def test_one_thread_inside_the_block(self) -> None:
         before = cv2.getNumThreads()
-        with featreg_opencv.single_threaded():
+        with single_threaded():
             assert cv2.getNumThreads() == 1
         assert cv2.getNumThreads() == before

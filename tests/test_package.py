@@ -71,7 +71,7 @@ HEAVY = ("cv2", "matplotlib", "numba", "pandas", "pyarrow", "rasterio", "scipy",
 
 
 def test_the_public_names_are_these_and_no_others() -> None:
-    assert sorted(featreg.__all__) == PUBLIC
+    assert sorted(vars(featreg)["__all__"]) == PUBLIC
 
 
 @pytest.mark.parametrize("name", [n for n in PUBLIC if n != "__version__"])
@@ -90,8 +90,8 @@ def test_no_module_is_called_like_a_public_name(name: str) -> None:
 
 
 def test_an_unknown_name_is_an_attribute_error() -> None:
-    with pytest.raises(AttributeError, match="no attribute 'mtach'"):
-        _ = featreg.mtach
+    with pytest.raises(AttributeError, match="No featreg attribute mtach"):
+        getattr(featreg, "mtach")  # noqa: B009
 
 
 def test_import_loads_no_heavy_library() -> None:

@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from featreg.io import as_image
-from featreg.sar.log_gabor import LogGabor, _transfers, finest_amplitude, pieces
-from featreg.sar.phase_congruency import STEPS, Congruency, bytes_of, congruency_maps, without_rim
+from featreg.sar.gradients.log_gabor import LogGabor, _transfers, finest_amplitude, pieces
+from featreg.sar.gradients.phase_congruency import STEPS, Congruency, bytes_of, congruency_maps, without_rim
 from featreg.types import Image
 
 Texture = Callable[..., NDArray[np.float32]]
@@ -148,7 +148,7 @@ def test_the_edge_map_follows_edges_and_the_corner_map_corners() -> None:
 
 def test_moments_and_index_are_those_of_the_formulas() -> None:
     """The compiled loops against the formulas in double precision."""
-    from featreg.sar import congruency_kernels as kernels
+    from featreg.sar.gradients import congruency_kernels as kernels
 
     rng = np.random.default_rng(0)
     scales, orientations, shape = 4, 6, (9, 21)
@@ -196,7 +196,7 @@ def test_moments_and_index_are_those_of_the_formulas() -> None:
 
 def test_the_noise_threshold_is_kovesis_of_speckle_alone(sar_texture: Texture) -> None:
     """Doubling the standard deviations that count as noise leaves less of everything, and of noise alone nothing."""
-    from featreg.sar.phase_congruency import _noise
+    from featreg.sar.gradients.phase_congruency import _noise
 
     bank = LogGabor(2, 4, 6.0, 3.0, 0.35)
     view = np.random.default_rng(0).normal(size=(200, 300)).astype(np.float32)

@@ -25,8 +25,9 @@ from featreg.pictures.drawing import (
     spread_out,
 )
 from featreg.pictures.panels import INVALID, PANEL
+from featreg.results.registration import Registration
 from featreg.simulate import SimulatedPair, sar_pair
-from featreg.types import Image, Matches, Registration
+from featreg.types import Image, Matches
 
 
 def image_of(pixels: Any, mask: Any = None) -> Image:

@@ -16,13 +16,14 @@ from featreg.geometry import Affine, Homography
 from featreg.interfaces import FailedFit
 from featreg.io import as_image, write_geotiff
 from featreg.io.writers import replacing
+from featreg.products.coherence import coherence, expected_coherence
 from featreg.products.files import WINDOW
 from featreg.products.lattice import OtherGrids, lattice_of, resized
+from featreg.products.phase_ramp import PhaseRamp, estimate_phase_ramp
+from featreg.products.resample import resample
 from featreg.products.warping import Product, warp_file
-from featreg.resample import resample
-from featreg.sar.coherence import coherence, expected_coherence
-from featreg.sar.phase_ramp import PhaseRamp, estimate_phase_ramp
-from featreg.types import Geolocation, Matches, Registration
+from featreg.results.registration import Registration
+from featreg.types import Geolocation, Matches
 
 rasterio = pytest.importorskip("rasterio")
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")

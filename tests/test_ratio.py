@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from featreg.errors import ParameterError
 from featreg.io import as_image
-from featreg.sar.ratio import (
+from featreg.sar.gradients.ratio import (
     FLOOR,
     LEAST_SUPPORT,
     edge_strength,

@@ -33,7 +33,8 @@ from featreg.report.content import content
 from featreg.report.page import render
 from featreg.report.pictures import picture
 from featreg.report.tie_points import INLIER, JUDGED, SCORED, lattice, tie_points
-from featreg.types import FloatArray, Image, Matches, Registration
+from featreg.results.registration import Registration
+from featreg.types import FloatArray, Image, Matches
 
 TRUTH = Affine(np.array([[1.0, -0.03, 5.0], [0.04, 1.01, -3.0]]))
 EVIL = "</script><script>alert('pair')</script><!-- {{code}} &amp;"

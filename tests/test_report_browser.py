@@ -16,7 +16,8 @@ import pytest
 from featreg.geometry import Affine
 from featreg.interfaces import FailedFit
 from featreg.report import ReportColumn, ReportEntry, ReportPair, ReportStudy, ReportSweep, ReportTable, write_report
-from featreg.types import Image, Matches, Registration
+from featreg.results.registration import Registration
+from featreg.types import Image, Matches
 
 TRUTH = Affine(np.array([[1.0, -0.03, 5.0], [0.04, 1.01, -3.0]]))
 EVIL = "<script>document.title='owned'</script><img src=x onerror=alert(1)>"
@@ -285,7 +286,7 @@ def test_the_swipe_answers_slider_and_arrows(visit: Callable[..., Visit]) -> Non
 
 def test_the_secondary_is_aligned_by_the_model(visit: Callable[..., Visit], sar_texture: Make, tmp_path: Path) -> None:
     """The secondary is the reference under the model: aligned, hardly a gray value differs."""
-    from featreg.resample import resample
+    from featreg.products.resample import resample
 
     texture = sar_texture(100, 120, 0, 30.0)
     reference = Image(texture, np.ones(texture.shape, np.bool_))

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from featreg.errors import InputError, ParameterError
 from featreg.interfaces import FailedFit, Model
 from featreg.io import as_image
-from featreg.resample import TILE, resample, warp
-from featreg.types import FloatArray, Image, Matches, Registration
+from featreg.products.resample import TILE, resample, warp
+from featreg.results.registration import Registration
+from featreg.types import FloatArray, Image, Matches
 
 LINEAR = np.array([[0.98, 0.05, 7.3], [-0.04, 1.01, 5.6]])
 

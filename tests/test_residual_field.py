@@ -12,8 +12,8 @@ import pytest
 import featreg
 from featreg.errors import InputError
 from featreg.geometry import Affine, ResidualField, model_from_dict, model_to_dict
+from featreg.geometry.robust import fit_consensus
 from featreg.interfaces import FailedFit
-from featreg.robust import fit_consensus
 from featreg.types import FloatArray
 
 PLANE = np.array([[1.01, -0.02, 30.0], [0.015, 0.99, -12.0]])

@@ -14,8 +14,9 @@ import pytest
 from featreg.errors import InputError
 from featreg.geometry import Affine, Polynomial2
 from featreg.interfaces import FailedFit
-from featreg.result_file import MAX_ROWS, plain, registration_to_dict
-from featreg.types import Gate, Matches, Registration
+from featreg.results.json_file import MAX_ROWS, plain, registration_to_dict
+from featreg.results.registration import Registration
+from featreg.types import Gate, Matches
 
 TOP = ["schema_version", "method", "status", "reason", "gates", "seed", "reference", "secondary"]
 TOP += ["model", "counts", "blocks", "timings", "provenance", "tie_points"]

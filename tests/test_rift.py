@@ -81,7 +81,7 @@ def test_no_point_lies_on_a_black_rim(sar_texture: Texture) -> None:
 
 
 def test_maps_are_computed_once_for_both(sar_texture: Texture, monkeypatch: pytest.MonkeyPatch) -> None:
-    from featreg.sar import phase_congruency
+    from featreg.sar.gradients import phase_congruency
 
     calls: list[int] = []
     real = phase_congruency._view

@@ -10,9 +10,9 @@ import pytest
 
 from featreg.errors import InputError, ParameterError
 from featreg.geometry import Affine, Homography, Polynomial2, Polynomial3, Rigid, Similarity, Translation
+from featreg.geometry.robust import TUKEY, draw_samples, fit_consensus, irls
 from featreg.interfaces import FailedFit, FilterContext, Model
 from featreg.registry import create
-from featreg.robust import TUKEY, draw_samples, fit_consensus, irls
 from featreg.types import BoolArray, FloatArray, Matches
 
 SIZE = 1000.0
@@ -177,7 +177,7 @@ class Bent:
 def test_a_model_bound_to_context(caplog: pytest.LogCaptureFixture) -> None:
     reference, secondary, good = mixed(MODELS[5], 0.5)
     bound: Any = Bent()
-    with caplog.at_level("INFO", logger="featreg.robust"):
+    with caplog.at_level("INFO", logger="featreg.geometry.robust"):
         found, inliers = fit_consensus(
             bound, reference, secondary + 7.0, threshold=3.0, rng=np.random.default_rng(0), widening=6.0
         )
@@ -201,7 +201,7 @@ def vectors(reference: FloatArray, secondary: FloatArray) -> tuple[FloatArray, F
 
 
 def test_kernel_cost_and_inliers() -> None:
-    from featreg.robust_kernels import OUTLIER, mark_inliers, truncated_cost
+    from featreg.geometry.robust_kernels import OUTLIER, mark_inliers, truncated_cost
 
     for model in (MODELS[3], MODELS[4]):
         reference, secondary, _ = mixed(model, 0.3, noise=1.5)
@@ -220,7 +220,7 @@ def test_kernel_cost_and_inliers() -> None:
 @pytest.mark.parametrize("count", [0, 40])
 def test_kernel_least_squares(kind: int, count: int) -> None:
     """On a minimal set and on many weighted points the kernel gives what the model's own fit gives."""
-    from featreg.robust_kernels import least_squares
+    from featreg.geometry.robust_kernels import least_squares
 
     cls = type(MODELS[kind])
     count = max(count, cls.minimum)
@@ -237,7 +237,7 @@ def test_kernel_least_squares(kind: int, count: int) -> None:
 
 
 def test_kernel_refuses_samples_that_determine_nothing() -> None:
-    from featreg.robust_kernels import homography_of_four, least_squares, well_placed
+    from featreg.geometry.robust_kernels import homography_of_four, least_squares, well_placed
 
     line, p = np.array([0.0, 1.0, 2.0]), np.empty(9)
     assert not least_squares(3, line, line, line, line, np.ones(3), p)
@@ -253,7 +253,7 @@ def test_kernel_refuses_samples_that_determine_nothing() -> None:
 
 
 def test_kernel_homography() -> None:
-    from featreg.robust_kernels import homography_of_four
+    from featreg.geometry.robust_kernels import homography_of_four
 
     xy = np.array([[-400, -300], [450, -350], [380, 420], [-410, 390.0]])
     target, p = MODELS[4](xy), np.empty(9)
@@ -267,7 +267,7 @@ def test_kernel_homography() -> None:
 
 def test_search_equals_the_plain_one() -> None:
     """Hypothesis by hypothesis in numpy: the same winner, the same number of hypotheses."""
-    from featreg.robust_kernels import OUTLIER, search
+    from featreg.geometry.robust_kernels import OUTLIER, search
 
     reference, secondary, _ = mixed(MODELS[3], 0.3, count=300, seed=4)
     reference, secondary = reference - reference.mean(axis=0), secondary - secondary.mean(axis=0)

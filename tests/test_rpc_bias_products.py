@@ -10,15 +10,16 @@ import numpy as np
 import pytest
 import rasterio
 
-from featreg.cli import main
+from featreg.cli.main import main
 from featreg.geolocation import DemHeights, RpcBias, RpcSensor, Sensor, sensor_of
 from featreg.geolocation.transfer import on_ground
 from featreg.geometry import Translation
 from featreg.io import as_image, read_image
 from featreg.products.lattice import lattice_of
-from featreg.resample import resample
+from featreg.products.resample import resample
+from featreg.results.registration import Registration
 from featreg.simulate.scene import ScenePair, simulate_scene
-from featreg.types import Matches, Registration
+from featreg.types import Matches
 
 SHAPE = (256, 320)
 

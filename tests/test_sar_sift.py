@@ -14,9 +14,16 @@ import featreg
 from featreg import registry
 from featreg.errors import ParameterError
 from featreg.io import as_image
-from featreg.sar.gradient_field import GradientField, from_base, octave, ratio_field
-from featreg.sar.gradient_histograms import CELLS, DIRECTIONS, dominant_orientation, gloh, normalised, row_length
-from featreg.sar.maxima import interpolated, local_maxima, parabola_peak, quadratic_peak
+from featreg.sar.gradients.gradient_field import GradientField, from_base, octave, ratio_field
+from featreg.sar.keypoints.gradient_histograms import (
+    CELLS,
+    DIRECTIONS,
+    dominant_orientation,
+    gloh,
+    normalised,
+    row_length,
+)
+from featreg.sar.keypoints.maxima import interpolated, local_maxima, parabola_peak, quadratic_peak
 from featreg.sar.pyramid import to_base
 from featreg.simulate import SimulatedPair
 from featreg.types import Features, Image

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from featreg.matchers.scale_search import ScaleSearch, _Trial
 from numpy.typing import NDArray
 
 import featreg
@@ -13,7 +14,6 @@ from featreg import registry
 from featreg.errors import ParameterError
 from featreg.geometry import Similarity
 from featreg.io import as_image
-from featreg.scale_search import ScaleSearch, _Trial
 from featreg.simulate import sar_pair
 from featreg.types import Image, Matches
 

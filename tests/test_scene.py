@@ -19,12 +19,13 @@ from featreg.errors import CancelledError, InputError, NoOverlapError, Parameter
 from featreg.interfaces import Filter, FilterContext, Matcher
 from featreg.io import as_image
 from featreg.io.raster_source import Window
+from featreg.results.registration import Registration
+from featreg.runtime.executors import can_fork, open_lane
 from featreg.scene.blocks import Block, plan_blocks, spread_out
-from featreg.scene.execution import can_fork, open_lane
 from featreg.scene.prior import Prior
 from featreg.scene.task import columns_of, emptiness, from_columns, run_block, search_window
 from featreg.simulate import sar_pair
-from featreg.types import BoolArray, Image, Matches, Registration
+from featreg.types import BoolArray, Image, Matches
 
 BLOCK: dict[str, Any] = {"block": 200, "workers": 1}
 
@@ -288,7 +289,7 @@ class Fragile(Matcher):
 
 
 def _sar_orb() -> Matcher:
-    from featreg.assembly import assemble
+    from featreg.pipeline.assembly import assemble
 
     matcher = assemble("sar-orb", n_features=500).matcher
     assert matcher is not None
@@ -460,9 +461,9 @@ def test_local_filters_draw_from_the_seed_and_the_block(located_pair: Any, resul
 
 
 def test_a_job_is_small_and_a_block_result_survives_its_columns(located_pair: Any) -> None:
-    from featreg.assembly import assemble
     from featreg.geometry import Affine
     from featreg.io.raster_source import open_source
+    from featreg.pipeline.assembly import assemble
     from featreg.scene.task import Job
 
     pipeline = assemble("sar-orb", n_features=400)

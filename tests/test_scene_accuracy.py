@@ -10,17 +10,18 @@ import pytest
 from numpy.typing import NDArray
 
 import featreg
-from featreg.assembly import assemble
 from featreg.errors import ParameterError
-from featreg.feature_matcher import FeatureMatcher
 from featreg.geometry import Affine, Translation, prediction_covariance, refitted_covariance
 from featreg.interfaces import REACH, Matcher
 from featreg.io import as_image
-from featreg.refine import Refine
+from featreg.pipeline.assembly import assemble
+from featreg.pipeline.feature_matcher import FeatureMatcher
+from featreg.pipeline.refine import Refine
+from featreg.results.registration import Registration
 from featreg.scene.blocks import halo_of
 from featreg.scene.merge import Merged, block_errors
 from featreg.simulate.scene import simulate_scene
-from featreg.types import Image, Matches, Registration
+from featreg.types import Image, Matches
 
 BLOCK: dict[str, Any] = {"block": 200, "workers": 1}
 

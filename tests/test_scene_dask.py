@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 import featreg
-from featreg.types import Registration
+from featreg.results.registration import Registration
 
 pytest.importorskip("distributed", reason="needs dask: pip install 'featreg[dask]'")
 pytestmark = pytest.mark.slow

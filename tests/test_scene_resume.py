@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 
 import featreg
-from featreg.types import Registration
+from featreg.results.registration import Registration
 
 BLOCK: dict[str, Any] = {"block": 200, "workers": 1}
-COMMAND = [sys.executable, "-m", "featreg.cli", "match"]
+COMMAND = [sys.executable, "-m", "featreg", "match"]
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +32,7 @@ def undisturbed(located_pair: Any, tmp_path_factory: pytest.TempPathFactory) -> 
 
 def plain(result: Registration) -> str:
     """Everything that must not depend on how the work was interrupted, as text."""
-    from featreg.result_file import registration_to_dict
+    from featreg.results.json_file import registration_to_dict
 
     whole = registration_to_dict(result)
     provenance = {k: v for k, v in whole["provenance"].items() if k not in ("blocks", "block_seconds")}
@@ -207,9 +207,9 @@ def test_interrupted_by_hand_it_says_how_to_go_on(located_pair: Any, tmp_path: P
 def test_the_command_refuses_what_cannot_be(
     options: list[str], text: str, located_pair: Any, capsys: pytest.CaptureFixture[str], monkeypatch: Any
 ) -> None:
-    from featreg.cli import main
+    from featreg.cli.main import main
 
-    monkeypatch.setattr("featreg.commands.scene.PATIENCE", 1)
+    monkeypatch.setattr("featreg.cli.scene.PATIENCE", 1)
     given = [option.format(reference=located_pair.reference) for option in options]
     code = main(["match", str(located_pair.reference), str(located_pair.secondary), *given])
     said = capsys.readouterr()
@@ -223,7 +223,7 @@ def test_the_command_refuses_what_cannot_be(
 def test_the_command_works_in_blocks(
     located_pair: Any, undisturbed: tuple[Path, Registration], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from featreg.cli import main
+    from featreg.cli.main import main
 
     images = [str(located_pair.reference), str(located_pair.secondary)]
     code = main(["match", *images, "--block", "200", "--workers", "1", "--json", str(tmp_path / "r.json")])
@@ -273,12 +273,12 @@ def test_the_picture_of_a_large_scene_is_made_from_overviews(
 ) -> None:
     import cv2
 
-    from featreg.cli import main
+    from featreg.cli.main import main
 
     command = ["match", str(located_pair.reference), str(located_pair.secondary), "--block", "200", "--workers", "1"]
     assert main([*command, "--plot", str(tmp_path / "whole.png")]) == 0
     monkeypatch.setattr("featreg.matching.MOST_PIXELS", 100_000)
-    monkeypatch.setattr("featreg.commands.scene.DRAWN", 400)
+    monkeypatch.setattr("featreg.cli.scene.DRAWN", 400)
     for place in ("featreg.io", "featreg.io.images"):
         monkeypatch.setattr(f"{place}.as_image", None)
     assert main([*command, "--plot", str(tmp_path / "reduced.png")]) == 0

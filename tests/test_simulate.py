@@ -10,10 +10,10 @@ import pytest
 
 import featreg.simulate
 from featreg.errors import ParameterError
-from featreg.sar.landscape import area_of, clipped, districts, inside, parcels, rectangle, ribbon
-from featreg.sar.paint_kernels import paint_outlines
-from featreg.sar.speckle_field import point_field, point_response, speckle_field
 from featreg.simulate import SimulatedPair, sar_pair, similarity_matrix
+from featreg.simulate.landscape import area_of, clipped, districts, inside, parcels, rectangle, ribbon
+from featreg.simulate.paint_kernels import paint_outlines
+from featreg.simulate.speckle_field import point_field, point_response, speckle_field
 
 
 def mapped(matrix: Any, xy: Any) -> Any:

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from featreg.errors import ParameterError
-from featreg.io.phase_history import PhaseHistory
-from featreg.sar.backprojection import SPEED_OF_LIGHT as C
-from featreg.sar.backprojection import GroundGrid, back_project
+from featreg.focusing.backprojection import SPEED_OF_LIGHT as C
+from featreg.focusing.backprojection import GroundGrid, back_project
+from featreg.focusing.phase_history import PhaseHistory
 from featreg.simulate.circle import CircularPath, ParkingLot, circular_phase_history, parking_lot
 
 PATH = CircularPath(radius=700.0, height=700.0, pulses_per_degree=20, bandwidth=300e6, frequencies=128)

@@ -21,8 +21,9 @@ from featreg.geometry import (
     rigid_uncertainty,
     selection_cut,
 )
-from featreg.pipeline import Pipeline
-from featreg.types import Matches, Registration
+from featreg.pipeline.pipeline import Pipeline
+from featreg.results.registration import Registration
+from featreg.types import Matches
 
 SIZE = 501
 TRUTH = Rigid(4.0, 3.0, -2.0)

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 
 from featreg import Experiment
-from featreg.cli import main
-from featreg.commands.sweep import parse_grid
+from featreg.cli.main import main
+from featreg.cli.sweep import parse_grid
 from featreg.errors import ParameterError
-from featreg.experiments.protocol import Protocol
-from featreg.experiments.report_data import report_of
 from featreg.io import write_geotiff
+from featreg.report.study_page import report_of
 from featreg.simulate import sar_pair
-from featreg.table import Table
+from featreg.study.protocol import Protocol
+from featreg.study.table import Table
 
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 

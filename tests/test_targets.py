@@ -8,7 +8,7 @@ from scipy import ndimage
 
 from featreg.errors import ParameterError
 from featreg.io import as_image
-from featreg.sar.targets import covered, median_filter, order_filter, regions, targets
+from featreg.sar.obcls.targets import covered, median_filter, order_filter, regions, targets
 from featreg.types import Image
 
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 import featreg
 from featreg.geometry import Affine, Homography, Rigid, Translation
 from featreg.interfaces import FailedFit, Model
+from featreg.pipeline.trust import Limits, assess, distinct, distortion, spread
 from featreg.simulate import SimulatedPair, sar_pair
-from featreg.trust import Limits, assess, distinct, distortion, spread
 from featreg.types import BoolArray, FloatArray, Gate, Matches
 
 Texture = Callable[..., NDArray[np.float32]]

@@ -13,11 +13,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from featreg.derived import DerivedMaps
 from featreg.errors import InputError
 from featreg.geometry import Translation
 from featreg.interfaces import FailedFit
-from featreg.types import Features, Image, Matches, Registration
+from featreg.results.registration import Registration
+from featreg.types import Features, Image, Matches
+from featreg.types.derived import DerivedMaps
 
 CALLS: list[tuple[str, float]] = []
 
@@ -137,7 +138,7 @@ def test_derive_needs_a_function_of_a_module(function: Callable[..., Any]) -> No
 
 def test_what_a_dataclass_of_maps_holds_counts_as_memory() -> None:
     """Kept by their sizes, the older of two goes; arrays of a dataclass are as read-only as others."""
-    from featreg.sar.gradient_field import GradientField
+    from featreg.sar.gradients.gradient_field import GradientField
 
     def field(image: None, number: int) -> GradientField:
         made.append(number)

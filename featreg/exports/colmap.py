@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.exports.content import Content, ImageInfo
-from featreg.tie_points import PIXEL_OFFSETS
+from featreg.exports.reading import PIXEL_OFFSETS
 
 #: Identifiers of images are below this; pairs are numbered by it.
 MOST_IMAGES = 2**31 - 1

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from featreg.errors import InputError, ParameterError, suggest
 from featreg.interfaces import FailedFit, Model
 from featreg.products.grid import recorded, size_of
-from featreg.result_file import tie_point_columns
-from featreg.types import BoolArray, FloatArray, Geolocation, Matches, Registration
+from featreg.results.json_file import tie_point_columns
+from featreg.results.registration import Registration
+from featreg.types import BoolArray, FloatArray, Geolocation, Matches
 
 #: Stages that every result has, beside its filters.
 ALWAYS = ("inliers", "all")

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from featreg.exports.content import Content
-from featreg.tie_points import PIXEL_OFFSETS
+from featreg.exports.reading import PIXEL_OFFSETS
 
 
 def write(content: Content, path: Path) -> None:

@@ -10,8 +10,8 @@ from featreg.errors import InputError, ParameterError, suggest
 from featreg.exports.content import content_of
 from featreg.io.writers import replacing
 from featreg.products.grid import inputs_of
-from featreg.result_file import tie_point_file
-from featreg.types import Registration
+from featreg.results.json_file import tie_point_file
+from featreg.results.registration import Registration
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ import numpy as np
 
 from featreg.errors import InputError
 from featreg.exports.content import Content, ground_of
+from featreg.exports.reading import PIXEL_OFFSETS
 from featreg.io.readers import quiet
-from featreg.tie_points import PIXEL_OFFSETS
 from featreg.types import FloatArray
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from featreg.exports.content import Content
-from featreg.result_file import parquet_of
+from featreg.results.json_file import parquet_of
 
 
 def write(content: Content, path: Path) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from featreg.exports.content import Content, ground_of, on_map
-from featreg.tie_points import PIXEL_OFFSETS
+from featreg.exports.reading import PIXEL_OFFSETS
 
 HEADER = "mapX,mapY,sourceX,sourceY,enable,dX,dY,residual"
 

@@ -1,5 +1,12 @@
-"""Autofocus: one complex image, its blocks of range cells, and the inputs of a registration."""
+"""Phase histories, images formed from them, and autofocus of one complex image.
 
-from featreg.focusing.complex_image import FRACTIONS, METHODS, FocusResult, focus
+phase_history, backprojection   what a radar measured, and the image on a ground grid
+complex_image, result           `featreg.focus`: one image, or its range_blocks
+minimum_entropy, phase_gradient, legendre_phase   the estimators, on pulse_spectra of chosen range_cells
+inputs                          the images of a registration, focused first
+"""
+
+from featreg.focusing.complex_image import FRACTIONS, METHODS, focus
+from featreg.focusing.result import FocusResult
 
 __all__ = ["FRACTIONS", "METHODS", "FocusResult", "focus"]

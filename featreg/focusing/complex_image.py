@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,16 +17,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from featreg.errors import CancelledError, InputError, ParameterError, suggest
+from featreg.focusing import autofocus
+from featreg.focusing.azimuth_filter import apply_phase, image_entropy
+from featreg.focusing.minimum_entropy import Descent
+from featreg.focusing.phase_error import Band
+from featreg.focusing.pulse_spectra import PulseSpectra, default_workers, grouped, pulse_spectra
+from featreg.focusing.range_cells import cell_energies, choose_cells, count_points
+from featreg.focusing.result import FocusResult
 from featreg.interfaces import Detector
 from featreg.io import SMALLEST, ImageLike, as_image
 from featreg.registry import create, entry
-from featreg.sar import autofocus
-from featreg.sar.azimuth_filter import apply_phase, image_entropy
-from featreg.sar.minimum_entropy import Descent
-from featreg.sar.phase_error import Band
-from featreg.sar.pulse_spectra import PulseSpectra, default_workers, grouped, pulse_spectra
-from featreg.sar.range_cells import cell_energies, choose_cells, count_points
-from featreg.types import BoolArray, FloatArray, Gate, Image, IntArray, read_only
+from featreg.types import BoolArray, FloatArray, Gate, Image, IntArray
 
 C64 = NDArray[np.complex64]
 Progress = Callable[[int, int], None]
@@ -43,46 +44,6 @@ LEAST_PULSES = 8
 
 #: Fall of the image's entropy, nats, from which held-out cells must become sharper too.
 CLAIM = 0.1
-
-
-@dataclass(frozen=True, eq=False)
-class FocusResult:
-    """What `featreg.focus` returns.
-
-    Parameters
-    ----------
-    image : (H, W) complex64, focused; also where the result is unreliable
-    phase : (N,) float64 radians, error of every pulse in the order of `numpy.fft.fft` along the azimuth; 0 for pulses
-        that carry no signal. Its constant and linear part cannot be observed: the linear part shifts the image along
-        the azimuth. (B, N) where the image was focused in B range blocks
-    entropy : (iterations + 1,) nats, Eq. 1 over the range cells used, before the first and after every iteration
-    iterations : how many
-    cells : (K,) int64 ascending indices of the range cells used
-    status : "ok" or "unreliable"
-    reason : why it is unreliable; empty when ok
-    deviation : expected error of the phase, radians RMS, constant and linear part apart
-    image_entropy : nats of the whole image before and after
-    gates : name -> Gate, every condition of "ok" with its value
-    method : that was asked for
-    block_edges : (B + 1,) first range cell of every block, and the end
-    """
-
-    image: C64
-    phase: FloatArray
-    entropy: FloatArray
-    iterations: int
-    cells: IntArray
-    status: str
-    reason: str
-    deviation: float
-    image_entropy: tuple[float, float]
-    gates: Mapping[str, Gate] = field(default_factory=dict)
-    method: str = "auto"
-    block_edges: tuple[int, ...] = ()
-
-    def __post_init__(self) -> None:
-        for array in (self.image, self.phase, self.entropy, self.cells):
-            read_only(array)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from featreg.errors import InputError, ParameterError, suggest
-from featreg.focusing.complex_image import METHODS, FocusResult, focus
+from featreg.focusing.complex_image import METHODS, focus
+from featreg.focusing.result import FocusResult
 from featreg.types import Image
 
 Focus = str | Callable[[Image], FocusResult]

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from featreg.focusing.complex_image import FocusResult
-from featreg.sar.azimuth_filter import apply_phase, image_entropy
-from featreg.sar.phase_error import Band
-from featreg.sar.pulse_spectra import pulse_spectra
-from featreg.sar.range_cells import cell_energies
+from featreg.focusing.azimuth_filter import apply_phase, image_entropy
+from featreg.focusing.phase_error import Band
+from featreg.focusing.pulse_spectra import pulse_spectra
+from featreg.focusing.range_cells import cell_energies
+from featreg.focusing.result import FocusResult
 from featreg.types import BoolArray, FloatArray, Gate
 
 Whole = Callable[[NDArray[Any], FloatArray, float], FocusResult]

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from featreg.jit import compiled, inlined
+from featreg.runtime.jit import compiled, inlined
 from featreg.types import FloatArray
 
 #: Points worked on at a time: their rows stay in the first-level cache.

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from featreg.errors import InputError, ParameterError
 from featreg.exports import csv, envi, qgis
 from featreg.exports.content import Content, ImageInfo
+from featreg.exports.reading import COLUMNS, read_tie_points
 from featreg.geometry import Affine, Similarity
 from featreg.interfaces import FailedFit, Model
-from featreg.tie_points import COLUMNS, read_tie_points
 from featreg.types import FloatArray, Matches
 
 #: Ending of the file -> how it is written.

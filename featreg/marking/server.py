@@ -201,7 +201,7 @@ def require_web() -> None:
         import starlette
         import uvicorn  # noqa: F401
     except ImportError as error:
-        raise InputError(f"the marking page needs {error.name}: pip install featreg[web]") from error
+        raise InputError(f"the marking page needs {error.name}: pip install 'featreg[web]'") from error
     del starlette
 
 

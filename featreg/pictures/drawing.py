@@ -13,8 +13,9 @@ from featreg.geometry import decompose, local_linear
 from featreg.interfaces import FailedFit, Model
 from featreg.pictures.panels import Gray, checkerboard, display, overlay, views_to_draw_on
 from featreg.pictures.sheet import FAINT, INK, Colour, Lines, Note, Sheet, checked_target
-from featreg.truth import Truth, TruthLike, read_truth
-from featreg.types import BoolArray, FloatArray, Image, Registration
+from featreg.results.registration import Registration
+from featreg.study.truth import Truth, TruthLike, read_truth
+from featreg.types import BoolArray, FloatArray, Image
 
 __all__ = [
     "checkerboard",
@@ -54,7 +55,7 @@ def draw_matches(
     registration : the result; with `truth`, the tie points that its last filter kept are drawn as correct or false,
         without it, all tie points as accepted or rejected
     path : PNG file to write; its folder must exist
-    truth : whatever `featreg.truth.read_truth` takes: a model, a (2, 3) or (3, 3) matrix, a flow, a file, ...
+    truth : whatever `featreg.study.truth.read_truth` takes: a model, a (2, 3) or (3, 3) matrix, a flow, a file, ...
     threshold : pixels within which a tie point is correct
     max_lines : at most so many tie points are drawn, spread over the reference by a fixed rule, and the lines of
         about a hundred of them, so that they can be told apart
@@ -123,7 +124,7 @@ def draw_registration(
     rows: list[list[Gray]] = [views]
     labels = ["reference", "secondary"]
     if registration.model:
-        from featreg.resample import resample
+        from featreg.products.resample import resample
 
         reduced = _reduced(registration.model, factors)
         aligned = resample(secondary, reduced, reference.shape, resampling="bilinear")

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import InputError
-from featreg.result_file import write_atomic
+from featreg.runtime.files import write_atomic
 from featreg.types import FloatArray
 
 Colour = tuple[int, int, int]

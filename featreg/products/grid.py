@@ -13,8 +13,9 @@ from featreg.errors import InputError, ParameterError
 from featreg.interfaces import Model
 from featreg.io.raster_source import RasterSource
 from featreg.products.lattice import OtherGrids, resized
-from featreg.resample import model_of, stated_shape
-from featreg.types import FloatArray, Geolocation, Registration
+from featreg.products.resample import model_of, stated_shape
+from featreg.results.registration import Registration
+from featreg.types import FloatArray, Geolocation
 
 #: Pixel sizes that are taken as meant where the sizes of two images allow them: whole multiples and parts.
 PLAIN_FACTORS = (*range(2, 17), *(1 / n for n in range(2, 17)))

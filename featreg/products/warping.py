@@ -20,15 +20,16 @@ from featreg.interfaces import Model
 from featreg.io.raster_source import RasterSource, Window
 from featreg.io.readers import gdal_dataset, quiet
 from featreg.io.writers import refuse_input, replacing
+from featreg.products.coherence import coherence as coherence_of
+from featreg.products.coherence import window_size
 from featreg.products.files import Runner, bounded_cache, cloud_optimised, rasterio_window, tiled_tiff
 from featreg.products.grid import Grid, grid_model, inputs_of, recorded, reference_grid
 from featreg.products.lattice import Lattice, lattice_of
+from featreg.products.phase_ramp import PhaseRamp, estimate_phase_ramp
+from featreg.products.resample import TAPS, Support
 from featreg.products.samples import Encoding, encoding_of
-from featreg.resample import TAPS, Support
-from featreg.sar.coherence import coherence as coherence_of
-from featreg.sar.coherence import window_size
-from featreg.sar.phase_ramp import PhaseRamp, estimate_phase_ramp
-from featreg.types import BoolArray, Registration
+from featreg.results.registration import Registration
+from featreg.types import BoolArray
 
 #: Most pixels of the secondary that one output window reads.
 MOST_READ = 3 << 20

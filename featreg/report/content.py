@@ -10,15 +10,16 @@ from typing import Any
 import numpy as np
 
 from featreg.errors import FeatregError
-from featreg.evaluation import default_stage, match_errors, matching_accuracy_curve, stage_mask
 from featreg.geometry import decompose, local_linear
 from featreg.interfaces import FailedFit
 from featreg.report.pictures import BUDGET, Picture, picture
 from featreg.report.study import ReportEntry, ReportPair, ReportStudy, ReportSweep, ReportTable
 from featreg.report.tie_points import is_affine, lattice, tie_points
-from featreg.result_file import plain
-from featreg.truth import Truth
-from featreg.types import FloatArray, Registration
+from featreg.results.json_file import plain
+from featreg.results.registration import Registration
+from featreg.study.evaluation import default_stage, match_errors, matching_accuracy_curve, stage_mask
+from featreg.study.truth import Truth
+from featreg.types import FloatArray
 
 #: Tie points of one result that are kept at most, and at least; base64 letters of all of them together.
 MOST, LEAST, LETTERS = 8000, 200, 9_400_000

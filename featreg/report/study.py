@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from featreg.errors import InputError, ParameterError
-from featreg.types import BoolArray, FloatArray, Image, Registration
+from featreg.results.registration import Registration
+from featreg.types import BoolArray, FloatArray, Image
 
 Better = Literal["high", "low"]
 #: Value and interval, the ends None where nothing can be said.
@@ -48,7 +49,7 @@ class ReportEntry:
     failure : why there is none, one line; "" otherwise
     correct : (M,) bool, whether each match lies within `ReportStudy.threshold` of the truth; None to have it computed
         from the pair's truth, and where there is no truth
-    stage : whose matches were scored; "" for that of `featreg.evaluation.default_stage`
+    stage : whose matches were scored; "" for that of `featreg.study.evaluation.default_stage`
     scores : metric -> value, None where there is none; shown beside the pictures in the order given
     timings : stage -> seconds; by default those of the registration
     """

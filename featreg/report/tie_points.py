@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import InputError
-from featreg.evaluation import default_stage, stage_mask
 from featreg.pictures.drawing import spread_out
 from featreg.report.study import ReportEntry
-from featreg.types import BoolArray, FloatArray, Registration
+from featreg.results.registration import Registration
+from featreg.study.evaluation import default_stage, stage_mask
+from featreg.types import BoolArray, FloatArray
 
 #: Finest step of a stored position, px; images beyond 65535 steps get a coarser one.
 STEP = 1 / 64

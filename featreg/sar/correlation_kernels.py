@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from featreg.jit import compiled
+from featreg.runtime.jit import compiled
 
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]

@@ -11,7 +11,7 @@ import numpy as np
 from featreg.errors import ParameterError
 from featreg.interfaces import Matcher
 from featreg.io.window import Window
-from featreg.refine import Refine
+from featreg.pipeline.refine import Refine
 
 #: Side of a block in pixels, as in the SAR-ORB paper (section 2.2).
 BLOCK = 600

@@ -14,10 +14,11 @@ from featreg.geolocation import Heights, RpcBias, find_overlap, sensor_of
 from featreg.geometry import Affine
 from featreg.interfaces import FailedFit, Model
 from featreg.io.raster_source import Source, Window
-from featreg.pipeline import Pipeline
+from featreg.pipeline.pipeline import Pipeline
+from featreg.results.registration import Registration
 from featreg.scene.prior import Prior
 from featreg.scene.record import inputs_of_sources
-from featreg.types import Matches, Registration
+from featreg.types import Matches
 
 #: Longer side of the overviews of a coarse match, px.
 OVERVIEW = 1000

@@ -10,13 +10,13 @@ import numpy as np
 
 from featreg.errors import InputError
 from featreg.geometry import prediction_covariance, refitted_covariance
+from featreg.geometry.robust import irls
 from featreg.interfaces import FailedFit, Model
-from featreg.refine import ROUNDS, Refined
-from featreg.robust import irls
+from featreg.pipeline.refine import ROUNDS, Refined
+from featreg.pipeline.trust import Limits
 from featreg.scene.blocks import Block
 from featreg.scene.prior import Prior
 from featreg.scene.task import BlockResult
-from featreg.trust import Limits
 from featreg.types import BoolArray, FloatArray, Gate, IntArray, Matches
 
 #: Refined tie points farther than this from the first model are wrong, px.
@@ -95,7 +95,7 @@ def fit_refined(merged: Merged, first: Model, max_residual: float) -> tuple[Refi
 
     Returns
     -------
-    refined : as `featreg.refine.Refine.run` gives it for one image
+    refined : as `featreg.pipeline.refine.Refine.run` gives it for one image
     blocks : (R,) block of each of its tie points
 
     Notes

@@ -11,8 +11,8 @@ import numpy as np
 
 from featreg.errors import FeatregError
 from featreg.geometry import Affine, Translation
+from featreg.geometry.robust import fit_consensus
 from featreg.interfaces import FailedFit, Model
-from featreg.robust import fit_consensus
 from featreg.types import FloatArray
 
 #: Pilot blocks are searched this much wider than the prior says it may be off, and by at least so many pixels: nothing

@@ -13,24 +13,25 @@ from typing import Any
 
 import numpy as np
 
-from featreg.assembly import assemble
 from featreg.errors import ParameterError
 from featreg.geolocation import ConstantHeight, DemHeights, Heights, RpcBias, Transfer, sensor_of
 from featreg.interfaces import Matcher, Model
 from featreg.io.raster_source import ImageSource, Source
-from featreg.pipeline import Gathered, Pipeline
+from featreg.pipeline.assembly import assemble
+from featreg.pipeline.pipeline import Gathered, Pipeline
 from featreg.presets import PRESETS
-from featreg.provenance import versions
+from featreg.results.registration import Registration
+from featreg.runtime.executors import Canceller, Lane, open_lane
+from featreg.runtime.timing import collecting, stage
+from featreg.runtime.versions import versions
 from featreg.scene.blocks import Block, halo_of, plan_blocks, spread_out
-from featreg.scene.execution import Canceller, Lane, open_lane
 from featreg.scene.first_prior import first_prior
 from featreg.scene.merge import Merged, accuracy, block_errors, block_gates, concatenated, fit_refined, merge
 from featreg.scene.prior import Prior, corrected
 from featreg.scene.record import block_table, inputs_of_sources, seconds_of, with_final
 from featreg.scene.state import BlockFiles, digest_of
 from featreg.scene.task import BlockResult, Job, run_block, survivors
-from featreg.timing import collecting, stage
-from featreg.types import BoolArray, Gate, IntArray, Matches, Registration
+from featreg.types import BoolArray, Gate, IntArray, Matches
 
 #: Features of a block: detection takes the same time for a hundred as for a thousand.
 FEATURES = 1000
@@ -52,7 +53,7 @@ class SceneOptions:
     Parameters
     ----------
     block : side of a block, px
-    executor, workers : see `featreg.scene.execution.open_lane`
+    executor, workers : see `featreg.runtime.executors.open_lane`
     dem, height : heights of the ground: a file, or metres above the ellipsoid (0 where neither is given)
     resume : folder in which finished blocks are kept and looked for
     progress : called with (blocks done, blocks in all)
@@ -76,7 +77,7 @@ class SceneOptions:
 
 
 def assemble_scene(method: Any, *, n_features: int | None, **keywords: Any) -> Pipeline:
-    """`featreg.assembly.assemble` with the budgets of a block where none are asked for."""
+    """`featreg.pipeline.assembly.assemble` with the budgets of a block where none are asked for."""
     if isinstance(method, Pipeline):
         return assemble(method, n_features=n_features, **keywords)
     preset = PRESETS.get(method) if isinstance(method, str) else None

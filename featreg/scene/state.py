@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import InputError
-from featreg.result_file import plain
+from featreg.results.json_file import plain
 from featreg.scene.blocks import Block
 from featreg.scene.task import BlockResult, columns_of, from_columns
 

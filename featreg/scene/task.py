@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.geometry import Affine
+from featreg.geometry.robust import irls
 from featreg.interfaces import FailedFit, Filter, FilterContext, Matcher, Model
 from featreg.io.raster_source import Source, Window
-from featreg.pipeline import ROUNDS, SCALE_PX
-from featreg.refine import Refine
-from featreg.robust import irls
+from featreg.pipeline.pipeline import ROUNDS, SCALE_PX
+from featreg.pipeline.refine import Refine
+from featreg.runtime.timing import collecting, stage
 from featreg.scene.blocks import Block
 from featreg.scene.prior import Prior
-from featreg.timing import collecting, stage
 from featreg.types import BoolArray, FloatArray, Image, Matches
 
 #: Least share of a window's pixels that are data.

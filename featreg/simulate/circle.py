@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import ParameterError
-from featreg.io.phase_history import PhaseHistory
-from featreg.sar.backprojection import SPEED_OF_LIGHT
+from featreg.focusing.backprojection import SPEED_OF_LIGHT
+from featreg.focusing.phase_history import PhaseHistory
 from featreg.types import FloatArray, points, read_only
 
 #: Scatterers of one vehicle, over all aspects; one in twenty or so is seen at a time.
@@ -232,7 +232,8 @@ def circular_phase_history(
     Returns
     -------
     PhaseHistory
-        After the signal model of `featreg.io.phase_history`, without noise of the receiver and without spreading loss.
+        After the signal model of `featreg.focusing.phase_history`, without noise of the receiver and without spreading
+        loss.
 
     Raises
     ------
@@ -296,7 +297,7 @@ def _samples(
     """(P, F) complex64 echoes of some pulses."""
     from scipy.fft import fft, next_fast_len
 
-    from featreg.sar.backprojection_kernels import project_points
+    from featreg.focusing.backprojection_kernels import project_points
 
     count = len(frequencies)
     length = int(next_fast_len(FINER * count))

@@ -73,7 +73,7 @@ class Ground:
         return found
 
     def _made(self, i: int, j: int) -> Block:
-        from featreg.sar.scenery import countryside
+        from featreg.simulate.scenery import countryside
 
         # Block numbers may be negative, seeds may not.
         layout, texture = np.random.default_rng([self.seed, i + (1 << 20), j + (1 << 20)]).spawn(2)

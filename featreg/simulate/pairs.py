@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import ParameterError
-from featreg.sar.landscape import Landscape, Surface
-from featreg.sar.speckle_field import RADIUS, checked_looks, point_field, speckled_intensity
+from featreg.simulate.landscape import Landscape, Surface
+from featreg.simulate.speckle_field import RADIUS, checked_looks, point_field, speckled_intensity
 from featreg.types import FloatArray, read_only
 
 #: Thermal noise as intensity relative to an average field (-17 dB).
@@ -103,7 +103,7 @@ def sar_pair(
     >>> pair.reference.shape, pair.truth.shape
     ((128, 128), (2, 3))
     """
-    from featreg.sar.scenery import countryside
+    from featreg.simulate.scenery import countryside
 
     if len(shape) != 2 or min(shape) < 64:
         raise ParameterError(f"shape must be (H, W) of at least 64 x 64, got {tuple(shape)}")
@@ -206,7 +206,7 @@ def painted(surfaces: list[tuple[FloatArray, Surface]], shape: tuple[int, int], 
     """(H, W, 3) float32 backscatter and shares of the coarse and fine texture, averaged over each pixel."""
     import cv2
 
-    from featreg.sar.paint_kernels import paint_outlines
+    from featreg.simulate.paint_kernels import paint_outlines
 
     height, width = shape
     canvas = np.zeros((height * FINER, width * FINER, 3), np.float32)

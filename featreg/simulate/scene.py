@@ -19,10 +19,10 @@ from featreg.geolocation.sensor import METRES_PER_DEGREE, Sensor
 from featreg.geolocation.transfer import Transfer, on_ground
 from featreg.io.readers import quiet
 from featreg.io.writers import replacing
-from featreg.sar.speckle_field import RADIUS, checked_looks, point_field, speckled_intensity
 from featreg.simulate.ground import SIDE, Ground
 from featreg.simulate.orbit import RangeDoppler, Terrain, plane_metres
 from featreg.simulate.pairs import NOISE
+from featreg.simulate.speckle_field import RADIUS, checked_looks, point_field, speckled_intensity
 from featreg.types import FloatArray
 
 #: Rows and columns of an image made at a time: the size of a tile of the file.

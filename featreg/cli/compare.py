@@ -1,0 +1,176 @@
+"""`featreg compare`: several methods on one or more pairs, as a table."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from featreg.cli import study
+from featreg.cli.options import (
+    FeaturesOption,
+    ModelOption,
+    NodataOption,
+    RefineOption,
+    ScaleOption,
+    SeedOption,
+    SetOption,
+    parse_settings,
+)
+from featreg.cli.study import (
+    FormatOption,
+    IsolateOption,
+    LayoutOption,
+    LimitOption,
+    MetricsOption,
+    OutOption,
+    RepeatsOption,
+    ReportOption,
+    ResumeOption,
+    SaveOption,
+    ThresholdOption,
+    TimesOption,
+    TruthOption,
+    WorkersOption,
+)
+from featreg.errors import FeatregError, ParameterError
+
+if TYPE_CHECKING:
+    from featreg.study.experiment import Experiment
+
+ALL = "all"
+logger = logging.getLogger(__name__)
+
+
+def compare(
+    context: typer.Context,
+    images: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="REF SEC | FOLDER",
+            help="Pairs of images, one after the other, or a folder of images named in pairs (port_1.tif and "
+            "port_2.tif, port_before.png and port_after.png, with port_truth.csv).",
+            show_default=False,
+        ),
+    ] = None,
+    methods: Annotated[
+        str | None,
+        typer.Option(
+            "--methods", metavar="A,B,C", help="Names from `featreg list method`, or all.", show_default=False
+        ),
+    ] = None,
+    experiment: Annotated[
+        str | None,
+        typer.Option(
+            "--experiment",
+            metavar="FILE",
+            help="Run what a .yaml or .toml file says, instead of images, methods and protocol here.",
+            show_default=False,
+        ),
+    ] = None,
+    truth: TruthOption = None,
+    model: ModelOption = None,
+    settings: SetOption = None,
+    seed: SeedOption = 0,
+    repeats: RepeatsOption = 1,
+    n_features: FeaturesOption = None,
+    refine: RefineOption = None,
+    scale: ScaleOption = None,
+    nodata: NodataOption = None,
+    threshold: ThresholdOption = 1.5,
+    metrics: MetricsOption = None,
+    workers: WorkersOption = 1,
+    times: TimesOption = None,
+    time_limit: LimitOption = None,
+    isolate: IsolateOption = True,
+    resume: ResumeOption = None,
+    layout_format: FormatOption = "md",
+    layout: LayoutOption = None,
+    out: OutOption = None,
+    report: ReportOption = None,
+    save: SaveOption = None,
+) -> None:
+    """Print a table of methods on image pairs.
+
+    Exit code 4 means that a method failed with an error on a pair; its row says which.
+    """
+    output = study.Output(layout_format, layout, out, report, save, resume)
+    output.check()
+    if experiment is not None:
+        _refuse_beside_file(context)
+        found = _from_file(experiment, metrics, layout, times)
+    else:
+        if methods is None:
+            raise ParameterError("missing option '--methods'; see 'featreg compare --help'")
+        from featreg.study.experiment import Experiment
+        from featreg.study.protocol import Protocol
+
+        parameters = parse_settings(settings)
+        names = _names(methods)
+        found = Experiment(
+            study.pairs_of(images or [], truth or []),
+            _usable(parameters) if names == [ALL] else names,
+            parameters,
+            seeds=range(seed, seed + repeats),
+            protocol=Protocol(
+                threshold=threshold,
+                n_features=n_features,
+                model=model,
+                refine=refine,
+                scale=scale,
+                nodata=nodata,
+                time_limit=time_limit,
+                timing=workers == 1 if times is None else times,
+            ),
+            metrics=study.metrics_of(metrics, layout),
+        )
+    study.run(found, output, "comparing", workers=workers, isolate=isolate)
+
+
+def _names(methods: str) -> list[str]:
+    return study.words(methods, "--methods", "sar-orb,orb")
+
+
+def _usable(parameters: dict[str, Any]) -> list[str]:
+    """Every method that can be used here with these parameters; a warning names the others."""
+    from featreg.pipeline.assembly import assemble
+    from featreg.registry import available
+
+    found = []
+    for name in available("method"):
+        try:
+            assemble(name, **parameters)
+        except FeatregError as error:
+            logger.warning("method %s is left out: %s", name, error)
+        else:
+            found.append(name)
+    if not found:
+        raise ParameterError("no method takes these parameters; name one with --methods to see why")
+    return found
+
+
+def _refuse_beside_file(context: typer.Context) -> None:
+    """The file says what is matched and how it is scored: an option that says it too could contradict it."""
+    own = {"experiment", "metrics", "workers", "times", "isolate", "resume", "layout_format", "layout", "out", "report",
+           "save"}  # fmt: skip
+    for parameter in context.command.params:
+        source = context.get_parameter_source(parameter.name or "")
+        if parameter.name not in own and source is not None and source.name == "COMMANDLINE":
+            given = parameter.opts[0] if parameter.opts[0].startswith("-") else "images"
+            raise ParameterError(f"{given} cannot be given with --experiment: write it into the file")
+
+
+def _from_file(path: str, metrics: str | None, layout: str | None, times: bool | None) -> Experiment:
+    from featreg.study.experiment import Experiment
+
+    found = Experiment.from_file(path)
+    names = list(found.metrics if metrics is None else ())
+    if metrics is not None or layout is not None:
+        more = study.metrics_of(metrics, layout)
+        kept = [*names, *(n for n in more if n not in names)] if metrics is None or metrics.startswith("+") else more
+        found = dataclasses.replace(found, metrics=tuple(kept))
+    if times is not None:
+        found = dataclasses.replace(found, protocol=dataclasses.replace(found.protocol, timing=times))
+    return found

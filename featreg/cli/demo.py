@@ -1,0 +1,111 @@
+"""The whole job on a simulated pair whose truth is known: register, compare with OpenCV, draw, write."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from featreg.results.registration import Registration
+from featreg.study.table import Table
+
+METHODS = ("sar-orb", "orb", "akaze")
+SHAPE = (600, 600)
+
+
+@dataclass(frozen=True, eq=False)
+class Demonstration:
+    """What a demonstration made.
+
+    Parameters
+    ----------
+    registration : of the first method
+    table : the comparison of all methods against the truth
+    files : (path, what it holds)
+    """
+
+    registration: Registration
+    table: Table
+    files: Sequence[tuple[Path, str]]
+
+
+def demonstrate(
+    folder: str | Path,
+    *,
+    shape: tuple[int, int] = SHAPE,
+    seed: int = 0,
+    methods: Sequence[str] = METHODS,
+    progress: Callable[[str], None] | None = None,
+) -> Demonstration:
+    """Simulate a SAR pair, register it, compare methods against the exact truth, and write everything to a folder.
+
+    Parameters
+    ----------
+    folder : made if it is missing; files of an earlier demonstration are replaced
+    shape : (H, W) of both images
+    seed : of the simulation and of the methods
+    methods : the first one makes the registration that is drawn
+    progress : called with a few words before each step
+
+    Returns
+    -------
+    `Demonstration`
+
+    Raises
+    ------
+    InputError
+        The folder cannot be written.
+    """
+    from featreg.io import as_image, write_geotiff
+    from featreg.matching import match
+    from featreg.pictures.drawing import draw_registration
+    from featreg.pictures.panels import display
+    from featreg.runtime.files import write_atomic
+    from featreg.simulate import sar_pair
+    from featreg.study.comparison import compare
+
+    say = progress or (lambda text: None)
+    folder = Path(folder)
+    _make(folder)
+    say(f"simulating two SAR images of {shape[1]} x {shape[0]} pixels")
+    pair = sar_pair(shape, seed=seed)
+    files = []
+    for role, array in (("reference", pair.reference), ("secondary", pair.secondary)):
+        write_geotiff(folder / f"{role}.tif", array)
+        write_atomic(folder / f"{role}.png", _png(display(as_image(array))))
+        files += [(folder / f"{role}.tif", f"{role} image, float32 amplitude"), (folder / f"{role}.png", "to look at")]
+    matrix = json.dumps({"matrix": pair.truth.tolist()}, indent=2)
+    write_atomic(folder / "truth.json", f"{matrix}\n".encode())
+    files.append((folder / "truth.json", "exact truth, reference -> secondary"))
+
+    paths = folder / "reference.tif", folder / "secondary.tif"
+    say(f"registering with {methods[0]}")
+    registration = match(*paths, method=methods[0], seed=seed)
+    registration.to_json(folder / "result.json")
+    draw_registration(as_image(paths[0]), as_image(paths[1]), registration, folder / "registration.png")
+    files.append((folder / "result.json", f"result of {methods[0]}: model, tie points, gates"))
+    files.append((folder / "registration.png", "tie points, checkerboard and overlay"))
+
+    say(f"comparing {', '.join(methods)}, each run twice and timed once")
+    table = compare([(*paths, folder / "truth.json")], methods, seed=seed)
+    table.to_markdown(folder / "comparison.md")
+    files.append((folder / "comparison.md", "the table"))
+    return Demonstration(registration, table, files)
+
+
+def _make(folder: Path) -> None:
+    from featreg.errors import InputError
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot make the folder '{folder}': {error.strerror}") from error
+
+
+def _png(gray: object) -> bytes:
+    import cv2
+
+    _, content = cv2.imencode(".png", gray)  # type: ignore[call-overload]
+    encoded: bytes = content.tobytes()
+    return encoded

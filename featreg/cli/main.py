@@ -1,0 +1,135 @@
+"""The command line: `featreg match`, `compare`, `sweep`, `warp`, `export`, `focus`, `mark`, `list`, `demo`, `doctor`.
+
+Exit codes: 0 good; 1 an error of this program; 2 usage or bad input; 3 no trustworthy result (what was asked for is
+still written); 4 a comparison with failed rows; 130 interrupted. Whatever goes wrong is one line on stderr.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+import warnings
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any
+
+import typer
+
+from featreg._version import __version__
+from featreg.cli import compare, export, focus, info, mark, match, sweep, warp
+from featreg.errors import FeatregError, UnknownNameError, suggest
+
+COMMANDS: dict[str, Callable[..., None]] = {
+    "match": match.match,
+    "compare": compare.compare,
+    "sweep": sweep.sweep,
+    "warp": warp.warp,
+    "export": export.export,
+    "focus": focus.focus,
+    "mark": mark.mark,
+    "list": info.list_plugins,
+    "demo": info.demo,
+    "doctor": info.doctor,
+}
+HELP = "Register SAR images: tie points, a geometric model and a verdict on whether to trust it."
+
+app = typer.Typer(
+    help=HELP,
+    add_completion=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+)
+for _name, _function in COMMANDS.items():
+    app.command(_name)(_function)
+
+
+@app.callback(invoke_without_command=True)
+def root(
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
+) -> None:
+    if version:
+        typer.echo(f"featreg {__version__}")
+        raise typer.Exit
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+
+
+root.__doc__ = HELP
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code; `arguments` defaults to those of the process."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    notes = _Notes()
+    logger = logging.getLogger("featreg")
+    logger.addHandler(notes)
+    try:
+        with warnings.catch_warnings():
+            if not sys.warnoptions:
+                warnings.simplefilter("ignore")
+            _check_command(given)
+            code = app(args=given, prog_name="featreg", standalone_mode=False)
+    except KeyboardInterrupt:
+        return 130
+    except SystemExit as stop:
+        code = stop.code
+    except Exception as error:
+        return _explain(error, given)
+    finally:
+        logger.removeHandler(notes)
+    for line in dict.fromkeys(notes.lines):
+        typer.echo(f"warning: {line}", err=True)
+    return code if isinstance(code, int) else 0
+
+
+def _check_command(arguments: Sequence[str]) -> None:
+    """The options before the command take no values, so the first word is the command."""
+    word = next((a for a in arguments if not a.startswith("-")), None)
+    if word is not None and word not in COMMANDS:
+        raise UnknownNameError(f"unknown command '{word}', {suggest(word, COMMANDS)}")
+
+
+def _explain(error: Exception, arguments: Sequence[str]) -> int:
+    """Print one line about an error and return the exit code."""
+    if isinstance(error, typer.Abort):
+        return 130
+    if isinstance(error, FeatregError):
+        code, text = 2, str(error)
+    elif hasattr(error, "format_message"):  # of the library that parses the command line, whichever it builds upon
+        code, text = 2, _usage(error, arguments)
+    else:
+        code, text = 1, f"internal error: {type(error).__name__}: {error}"
+        if os.environ.get("FEATREG_TRACEBACK"):
+            import traceback
+
+            traceback.print_exception(error)
+        else:
+            text += ", set FEATREG_TRACEBACK=1 to see where"
+    typer.echo(f"error: {' '.join(text.split())}", err=True)
+    return code
+
+
+def _usage(error: Any, arguments: Sequence[str]) -> str:
+    """One line for a misspelt option, a missing argument or a value of the wrong kind."""
+    context = getattr(error, "ctx", None)
+    path = context.command_path if context else " ".join(["featreg", *(a for a in arguments[:1] if a in COMMANDS)])
+    name = getattr(error, "option_name", None)
+    if name and context and type(error).__name__ == "NoSuchOption":
+        known = [o for parameter in context.command.params for o in (*parameter.opts, *parameter.secondary_opts)]
+        options = [o for o in (*known, "--help") if o.startswith("-")]
+        return f"unknown option '{name}' of '{path}', {suggest(name, options)}"
+    text = str(error.format_message()).strip().rstrip(".")
+    return f"{text[:1].lower()}{text[1:]}; see '{path} --help'"
+
+
+class _Notes(logging.Handler):
+    """Keeps warnings until the end, so that an error stays one line; hidden plugins are for `list` and `doctor`."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.lines: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        if record.name != "featreg.registry":
+            self.lines.append(" ".join(record.getMessage().split()))

@@ -1,0 +1,256 @@
+"""`featreg match`: one pair of images."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from featreg.cli.options import (
+    FeaturesOption,
+    ModelOption,
+    NodataOption,
+    RefineOption,
+    ScaleOption,
+    SeedOption,
+    SetOption,
+    announce_compiling,
+    check_output,
+    distance,
+    limited_threads,
+    parse_settings,
+    progress,
+    whole_number,
+)
+from featreg.cli.scene import (
+    BlockOption,
+    DemOption,
+    HeightOption,
+    ResumeOption,
+    SchedulerOption,
+    WholeOption,
+    block_progress,
+    check_block_options,
+    cluster,
+    image_to_draw,
+    kept_when_interrupted,
+    may_be_blocks,
+)
+from featreg.errors import InputError, ParameterError
+
+if TYPE_CHECKING:
+    from featreg.results.registration import Registration
+
+RADIUS = 20.0
+
+
+def match(
+    reference: Annotated[str, typer.Argument(metavar="REF", help="Reference image.", show_default=False)],
+    secondary: Annotated[str, typer.Argument(metavar="SEC", help="Secondary image.", show_default=False)],
+    method: Annotated[str, typer.Option("--method", metavar="NAME", help="One of `featreg list method`.")] = "sar-orb",
+    model: ModelOption = None,
+    settings: SetOption = None,
+    seed: SeedOption = 0,
+    n_features: FeaturesOption = None,
+    refine: RefineOption = None,
+    scale: ScaleOption = None,
+    nodata: NodataOption = None,
+    focus: Annotated[
+        str | None,
+        typer.Option(
+            "--focus",
+            metavar="METHOD",
+            help="Autofocus of complex images first (azimuth down the columns): auto, mea, pmea, mca, pga or legendre.",
+            show_default=False,
+        ),
+    ] = None,
+    initial: Annotated[
+        str | None,
+        typer.Option(
+            "--initial", metavar="RESULT.json", help="An earlier result to search around.", show_default=False
+        ),
+    ] = None,
+    search_radius: Annotated[
+        float | None,
+        typer.Option(
+            "--search-radius",
+            parser=distance,
+            metavar="PX",
+            help="How far from --initial a tie point may lie.",
+            show_default=f"{RADIUS:g}",
+        ),
+    ] = None,
+    mask_reference: Annotated[
+        str | None,
+        typer.Option(
+            "--mask-reference", metavar="FILE", help="Image of the same size, 0 = no data.", show_default=False
+        ),
+    ] = None,
+    mask_secondary: Annotated[
+        str | None,
+        typer.Option(
+            "--mask-secondary", metavar="FILE", help="Image of the same size, 0 = no data.", show_default=False
+        ),
+    ] = None,
+    json_file: Annotated[
+        str | None,
+        typer.Option("--json", metavar="FILE", help="Write the whole result.", show_default=False),
+    ] = None,
+    plot: Annotated[
+        str | None,
+        typer.Option("--plot", metavar="FILE.png", help="Draw tie points and overlay.", show_default=False),
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            "--workers",
+            parser=whole_number(1),
+            metavar="N",
+            help="Worker processes where it is done in blocks, else most threads of all libraries.",
+            show_default="every processor, or as they choose",
+        ),
+    ] = None,
+    block: BlockOption = None,
+    whole: WholeOption = False,
+    scheduler: SchedulerOption = None,
+    dem: DemOption = None,
+    height: HeightOption = None,
+    resume: ResumeOption = None,
+) -> None:
+    """Register one SAR image to another.
+
+    Finds tie points, fits a geometric model and judges whether it can be trusted.
+
+    Images are GeoTIFF, TIFF, PNG, JPEG, BMP, NPY or file.mat:variable. Exit code 3 means that the result, which is
+    still written, cannot be trusted. Large images are worked on in blocks, which can be spread over processes or a
+    cluster and kept in a folder, so that a run that was stopped goes on where it was.
+    """
+    inputs = [f for f in (reference, secondary, initial, mask_reference, mask_secondary, dem) if f is not None]
+    check_output(json_file, "--json", inputs=inputs)
+    check_output(plot, "--plot", suffixes=[".png"], inputs=inputs)
+    keywords = parse_settings(settings)
+    if initial is None and search_radius is not None:
+        raise ParameterError("--search-radius needs --initial RESULT.json, the result around which to search")
+    check_block_options(block, whole, workers, scheduler, dem, height, resume)
+    blocks = may_be_blocks(whole, [block, scheduler, dem, height, resume], [reference, secondary])
+    if blocks:
+        from featreg.runtime.executors import keep_freed_memory
+
+        keep_freed_memory()
+    with kept_when_interrupted(resume), limited_threads(workers, 1 if blocks else None), cluster(scheduler) as client:
+        from featreg.matching import match as register
+        from featreg.results.registration import Registration
+
+        if initial is not None:
+            search_radius = RADIUS if search_radius is None else search_radius
+        announce_compiling()
+        progress(f"registering '{secondary}' to '{reference}'")
+        result = register(
+            reference,
+            secondary,
+            method=method,
+            model=model,
+            seed=seed,
+            refine=refine,
+            n_features=n_features,
+            initial=None if initial is None else _known_model(Registration.from_json(initial), initial),
+            search_radius=search_radius,
+            reference_mask=mask_reference,
+            secondary_mask=mask_secondary,
+            nodata=nodata,
+            scale=scale,
+            focus=focus,
+            block=False if whole else block,
+            executor=client,
+            workers=workers,
+            dem=dem,
+            height=height,
+            resume=resume,
+            progress=block_progress(),
+            **keywords,
+        )
+        written = []
+        if json_file is not None:
+            result.to_json(json_file)
+            written.append(json_file)
+        if plot is not None:
+            from featreg.pictures.drawing import draw_registration
+
+            here, factor = image_to_draw(reference, mask_reference, nodata, scale)
+            there, far_factor = image_to_draw(secondary, mask_secondary, nodata, scale)
+            draw_registration(here, there, result, plot, factors=(factor, far_factor))
+            written.append(plot)
+    typer.echo(summary(result, written))
+    raise typer.Exit(0 if result.status == "ok" else 3)
+
+
+def summary(result: Registration, written: list[str]) -> str:
+    """Return what a person wants to know of a result, in a few lines."""
+    import numpy as np
+
+    from featreg.study.evaluation import computing_time
+
+    provenance = result.provenance
+    verdict = "ok" if result.status == "ok" else f"unreliable: {result.reason}"
+    lines = [verdict, f"  method      {provenance['method']}, seed {provenance['seed']}"]
+    if result.model:
+        trust = "" if result.status == "ok" else " (not to be trusted)"
+        lines.append(f"  model       {_describe(result)}{trust}")
+    putative = int(result.putative.sum())
+    chain = [f"{putative} putative", *(f"{int(mask.sum())} after {name}" for name, mask in result.stages.items())]
+    lines.append(f"  tie points  {int(result.inliers.sum())} final: {', '.join(chain)}")
+    if result.model and result.inliers.any():
+        rmse = float(np.sqrt(np.mean(result.residuals()[result.inliers] ** 2)))
+        lines.append(f"  residuals   RMSE {rmse:.2f} px over the final tie points")
+    blocks = provenance.get("blocks")
+    accuracy = provenance.get("accuracy", {})
+    if "blocks_px" in accuracy:
+        held_out, local = result.gates["held_out_rmse"].value, accuracy["blocks_px"]
+        text = "" if held_out is None else f"RMSE {held_out:.2f} px over tie points held out of the fit, "
+        local = f"median {local['median']:.2f}, 95 % {local['percentile95']:.2f}, worst {local['worst']:.2f} px"
+        lines.append(f"  accuracy    {text}by block {local}")
+    if blocks:
+        counts = ", ".join(f"{blocks[name]} {name}" for name in ("computed", "reused", "skipped", "failed"))
+        lines.append(f"  blocks      {blocks['total']} of about {blocks['size']} px: {counts}")
+    stages = ", ".join(f"{name} {seconds:.2f}" for name, seconds in result.timings.items())
+    lines.append(f"  seconds     {computing_time(result):.2f}: {stages}")
+    if written:
+        lines.append(f"  written     {', '.join(written)}")
+    return "\n".join(lines)
+
+
+def _describe(result: Registration) -> str:
+    """The model in words: its kind, and what it does at the centre of the reference."""
+    import numpy as np
+
+    from featreg.geometry import decompose, local_linear
+    from featreg.interfaces import FailedFit
+    from featreg.registry import model_name
+
+    model = result.model
+    if isinstance(model, FailedFit):
+        return f"none: {model.reason}"
+    size = result.provenance["inputs"]["reference"]
+    centre = np.array([[(size["width"] - 1) / 2, (size["height"] - 1) / 2]])
+    rotation, zoom, _, _ = decompose(local_linear(model, centre)[0])
+    dx, dy = (model(centre) - centre)[0]
+    errors = result.standard_errors
+    if errors:
+        sx, sy = errors["shift_se_px"]
+        return (
+            f"{model_name(type(model))}: rotation {rotation:+.3f} +- {errors['rotation_deg_se']:.3f} deg "
+            f"counter-clockwise, shift ({dx:+.2f} +- {sx:.2f}, {dy:+.2f} +- {sy:.2f}) px (right, down), "
+            "with standard errors, at the image centre"
+        )
+    return (
+        f"{model_name(type(model))}: rotation {rotation:+.3f} deg counter-clockwise, scale {zoom:.5f}, "
+        f"shift ({dx:+.2f}, {dy:+.2f}) px (right, down), all at the image centre"
+    )
+
+
+def _known_model(result: Registration, path: str) -> Any:
+    from featreg.interfaces import FailedFit
+
+    if isinstance(result.model, FailedFit):
+        raise InputError(f"--initial '{path}' holds no model ({result.model.reason}), give a result that has one")
+    return result.model

@@ -1,0 +1,252 @@
+"""What `featreg compare` and `featreg sweep` share: options, running an experiment, printing its table."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TypeAlias
+
+import typer
+
+from featreg.cli.options import (
+    announce_compiling,
+    check_folder,
+    check_name,
+    check_output,
+    counter,
+    number,
+    whole_number,
+)
+from featreg.errors import InputError, ParameterError
+
+if TYPE_CHECKING:
+    from featreg.study.experiment import Experiment
+    from featreg.study.study import Study
+    from featreg.study.table import Table
+
+FORMATS = ("md", "csv", "latex", "json")
+LAYOUTS = ("table2", "table3")
+OUTPUTS = {".md": "to_markdown", ".csv": "to_csv", ".tex": "to_latex", ".json": "to_json", ".parquet": "to_parquet"}
+EXPERIMENTS = (".yaml", ".yml", ".toml")
+
+
+def seconds(text: Any) -> float:
+    """Read a number of seconds greater than 0."""
+    value = number(text)
+    if not 0 < value < float("inf"):
+        raise typer.BadParameter(f"a number of seconds > 0 is needed, got '{text}'")
+    return value
+
+
+TruthOption: TypeAlias = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--truth",
+        metavar="FILE",
+        help="Where points really lie: a matrix, marked points, a flow or a result (.json, .txt, .csv, .npy, .points "
+        "of QGIS, .pts of ENVI), 'identity' for images on one grid, or 'geolocation' (or geolocation:HEIGHT, "
+        "geolocation:DEM) for what the files say of where they lie; once for all pairs, or once per pair.",
+        show_default=False,
+    ),
+]
+RepeatsOption: TypeAlias = Annotated[
+    int,
+    typer.Option("--repeats", parser=whole_number(1), metavar="N", help="Run with N seeds, from --seed on."),
+]
+MetricsOption: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        "--metrics",
+        metavar="A,B,C",
+        help="Columns of the table instead of the usual ones, or with a + in front beside them, as in "
+        "+auc@3,recall,mma@3,act.detect.",
+        show_default=False,
+    ),
+]
+ThresholdOption: TypeAlias = Annotated[
+    float,
+    typer.Option("--threshold", parser=number, metavar="PX", help="Greatest distance of a correct match."),
+]
+WorkersOption: TypeAlias = Annotated[
+    int,
+    typer.Option("--workers", parser=whole_number(1), metavar="N", help="Processes that match, of one thread each."),
+]
+TimesOption: TypeAlias = Annotated[
+    bool | None,
+    typer.Option(
+        "--times/--no-times",
+        help="Measure times, one run after the other.",
+        show_default="only with one worker",
+    ),
+]
+LimitOption: TypeAlias = Annotated[
+    float | None,
+    typer.Option(
+        "--time-limit",
+        parser=seconds,
+        metavar="S",
+        help="Stop a method that takes longer on one pair; its row fails.",
+        show_default="none",
+    ),
+]
+IsolateOption: TypeAlias = Annotated[
+    bool,
+    typer.Option(
+        "--isolate/--no-isolate",
+        help="Run methods in processes of their own, so that one that hangs or dies costs its own rows only.",
+    ),
+]
+ResumeOption: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        "--resume",
+        metavar="DIR",
+        help="Keep results in a folder and take them from there where nothing has changed.",
+        show_default=False,
+    ),
+]
+FormatOption: TypeAlias = Annotated[str, typer.Option("--format", metavar="FORMAT", help="md, csv, latex or json.")]
+LayoutOption: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        "--layout",
+        metavar="NAME",
+        help="table2 or table3: the columns of these tables of the SAR-ORB paper.",
+        show_default=False,
+    ),
+]
+OutOption: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        "--out",
+        "-o",
+        metavar="FILE",
+        help="Write the table too: .md, .csv, .tex, .json or .parquet.",
+        show_default=False,
+    ),
+]
+ReportOption: TypeAlias = Annotated[
+    str | None,
+    typer.Option("--report", metavar="FILE.html", help="Write a page to look at the results.", show_default=False),
+]
+SaveOption: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        "--save", metavar="FILE", help="Write this experiment as .yaml or .toml, for --experiment.", show_default=False
+    ),
+]
+
+
+def words(text: str | None, what: str, example: str) -> list[str]:
+    """Names with commas between them.
+
+    Raises
+    ------
+    ParameterError
+        There is no name.
+    """
+    names = [name.strip() for name in (text or "").split(",") if name.strip()]
+    if not names:
+        raise ParameterError(f"{what} needs names with commas between them, as in {example}, got '{text}'")
+    return names
+
+
+def metrics_of(text: str | None, layout: str | None) -> tuple[str, ...]:
+    """The columns that were asked for."""
+    from featreg.study.layouts import NEEDS
+    from featreg.study.metrics import STANDARD, check_metrics
+
+    names: Sequence[str] = STANDARD
+    if text is not None:
+        more = words(text.removeprefix("+"), "--metrics", "ncm,auc@3")
+        names = [*STANDARD, *more] if text.startswith("+") else more
+    return check_metrics([*names, *(NEEDS[layout] if layout else ())])
+
+
+def pairs_of(images: Sequence[str], truth: Sequence[str]) -> list[dict[str, Any]]:
+    """The image pairs of a command line: REF SEC [REF SEC ...], or one folder of pairs."""
+    from featreg.study.pairs import pairs_in
+
+    found: list[dict[str, Any]]
+    if len(images) == 1 and Path(images[0]).is_dir():
+        found = [dict(pair) for pair in pairs_in(images[0])]
+    else:
+        folder = next((image for image in images if Path(image).is_dir()), None)
+        if folder is not None:
+            raise InputError(f"'{folder}' is a directory: give one folder of pairs, or images REF SEC [REF SEC ...]")
+        if len(images) % 2 or not images:
+            last = f": '{images[-1]}' has no partner" if images else ""
+            raise InputError(f"images come in pairs REF SEC [REF SEC ...], got {len(images)}{last}")
+        found = [{"reference": a, "secondary": b} for a, b in zip(images[::2], images[1::2], strict=True)]
+    if len(truth) not in (0, 1, len(found)):
+        raise InputError(
+            f"--truth is given once for all pairs or once per pair, got {len(truth)} for {len(found)} pairs"
+        )
+    for i, pair in enumerate(found):
+        if truth:
+            pair["truth"] = truth[i] if len(truth) == len(found) else truth[0]
+    return found
+
+
+def check_images(experiment: Experiment) -> None:
+    """Read every image once, so that a wrong name or scale shows before anything is matched."""
+    from featreg.io import as_image
+
+    protocol = experiment.protocol
+    paths = [image for pair in experiment.resolved() for image in (pair.reference, pair.secondary)]
+    for path in dict.fromkeys(paths):
+        as_image(path, nodata=protocol.nodata, scale=protocol.scale)
+
+
+@dataclass(frozen=True)
+class Output:
+    """What is printed and written, and where results are kept."""
+
+    layout_format: str = "md"
+    layout: str | None = None
+    out: str | None = None
+    report: str | None = None
+    save: str | None = None
+    resume: str | None = None
+
+    def check(self) -> None:
+        """Raise where something could not be written or printed, before any work is done for it."""
+        check_name(self.layout_format, FORMATS, "format")
+        if self.layout is not None:
+            check_name(self.layout, LAYOUTS, "layout")
+            if self.layout_format == "json":
+                raise ParameterError("--layout is for --format md, csv or latex; JSON holds everything")
+        check_output(self.out, "--out", suffixes=tuple(OUTPUTS))
+        check_output(self.report, "--report", suffixes=(".html",))
+        check_output(self.save, "--save", suffixes=EXPERIMENTS)
+        if self.resume is not None:
+            path = Path(self.resume)
+            check_folder(path if path.exists() else path.absolute().parent, f"--resume '{self.resume}'")
+
+    def write(self, study: Study) -> Table:
+        """Print the table of a study and write what was asked for."""
+        table = study.table()
+        if self.layout_format == "json":
+            typer.echo(table.to_json(), nl=False)
+        else:
+            printed = {"md": table.to_markdown, "csv": table.to_csv, "latex": table.to_latex}[self.layout_format]
+            typer.echo(printed(layout=self.layout), nl=False)
+        if self.out is not None:
+            getattr(table, OUTPUTS[Path(self.out).suffix.lower()])(self.out)
+        if self.report is not None:
+            from featreg.report.study_page import write_study_report
+
+            write_study_report(self.report, study)
+        return table
+
+
+def run(experiment: Experiment, output: Output, text: str, *, workers: int, isolate: bool) -> NoReturn:
+    """Run an experiment, print its table, write what was asked for, and leave with the exit code."""
+    experiment.check()
+    check_images(experiment)
+    if output.save is not None:
+        experiment.to_file(output.save)
+    announce_compiling()
+    study = experiment.run(workers=workers, isolate=isolate, resume=output.resume, progress=counter(text))
+    raise typer.Exit(4 if output.write(study).failed else 0)

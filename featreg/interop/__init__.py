@@ -1,0 +1,1 @@
+"""OpenCV, kornia and torch: their algorithms, keypoints and tensors."""

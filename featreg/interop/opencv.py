@@ -1,0 +1,218 @@
+"""The one place that knows where OpenCV 4.10 to 5 keeps what, and how its positions differ from ours.
+
+OpenCV 5 moved BRISK, KAZE, AKAZE and AGAST to `cv2.xfeatures2d`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from featreg.errors import InputError, ParameterError, suggest
+from featreg.sar.normalise import METHODS, to_uint8
+from featreg.types import BoolArray, Features, FloatArray, Image
+
+ALGORITHMS = (
+    "AKAZE", "AgastFeatureDetector", "BEBLID", "BRISK", "BoostDesc", "BriefDescriptorExtractor",
+    "DAISY", "FREAK", "FastFeatureDetector", "GFTTDetector", "HarrisLaplaceFeatureDetector", "KAZE", "LATCH", "LUCID",
+    "MSDDetector", "MSER", "ORB", "SIFT", "SURF", "SimpleBlobDetector", "StarDetector", "TBMR", "TEBLID", "VGG",
+)  # fmt: skip
+CURE = "pip install opencv-contrib-python-headless"
+
+
+def resolve(name: str) -> Callable[..., Any] | str:
+    """Return OpenCV's create function of an algorithm ("ORB", "AKAZE", ...), or reason and cure where it has none."""
+    try:
+        import cv2
+    except ImportError as error:
+        return f"OpenCV cannot be imported ({error}); {CURE}"
+    homes = (cv2, getattr(cv2, "xfeatures2d", None))
+    create = next((c for c in (getattr(home, f"{name}_create", None) for home in homes) if c is not None), None)
+    if create is None and homes[1] is None:
+        return f"OpenCV {cv2.__version__} was installed without its contrib modules; {CURE}"
+    if create is None:
+        return f"OpenCV {cv2.__version__} has no {name}"
+    if name == "SURF":
+        try:
+            create()
+        except cv2.error:
+            return (
+                f"OpenCV {cv2.__version__} was built without its patented algorithms; "
+                "use 'sift' or 'akaze', or build OpenCV with OPENCV_ENABLE_NONFREE"
+            )
+    found: Callable[..., Any] = create
+    return found
+
+
+def unavailable(name: str) -> str:
+    """Return why an algorithm cannot be used here, "" where it can."""
+    found = resolve(name)
+    return found if isinstance(found, str) else ""
+
+
+def versions() -> dict[str, str]:
+    """Return, for every algorithm known to featreg, the module of OpenCV that holds it or why none does."""
+    where = {}
+    for name in ALGORITHMS:
+        reason = unavailable(name)
+        if not reason:
+            import cv2
+
+            reason = "cv2" if hasattr(cv2, f"{name}_create") else "cv2.xfeatures2d"
+        where[name] = reason
+    return where
+
+
+@contextmanager
+def clear_errors(name: str) -> Iterator[None]:
+    """Turn what OpenCV raises inside the block into one line of ours."""
+    import cv2
+
+    try:
+        yield
+    except (cv2.error, TypeError) as error:
+        text = " ".join(str(error).split("error: ", 1)[-1].split())
+        raise InputError(f"OpenCV's {name} refuses this image or these parameters: {text}") from error
+
+
+def grey(image: Image, normalise: str) -> NDArray[np.uint8]:
+    """Return the (H, W) uint8 picture of `image` that OpenCV is given, shared by all stages."""
+    if image.all_valid:
+        return image.derive(to_uint8, method=normalise)
+    return image.derive(to_uint8, method=normalise, fill="median")
+
+
+def clearance(image: Image) -> NDArray[np.float32]:
+    """Return for each pixel the distance in pixels to the nearest invalid one, as ``image.derive(clearance)``."""
+    import cv2
+
+    return np.asarray(cv2.distanceTransform(image.mask.view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE))
+
+
+def inside(xy: FloatArray, shape: tuple[int, int]) -> BoolArray:
+    """Return (N,) bool: which of the points lie between the outermost pixel centres of an (H, W) image."""
+    return np.asarray(np.all((xy >= 0) & (xy <= np.array(shape[::-1]) - 1), axis=1))
+
+
+def on_data(features: Features, image: Image) -> BoolArray:
+    """Return (N,) bool: which of the features lie in the image, with their support on valid pixels."""
+    clear = inside(features.xy, image.shape)
+    if not image.all_valid:
+        column, row = np.clip(np.rint(features.xy).astype(np.int64), 0, np.array(image.shape[::-1]) - 1).T
+        distance = image.derive(clearance)[row, column]
+        clear &= (distance > 0) & (distance >= features.scale)
+    return clear
+
+
+def orb_to_true(xy: FloatArray, level: NDArray[Any], scale_factor: float, shape: tuple[int, int]) -> FloatArray:
+    """Return the positions in the image of the points that ORB reports at `xy` (N, 2) on pyramid levels (N,).
+
+    ORB multiplies a position of level l by ``s = scale_factor**l``. But the level has round(W / s) columns, and
+    resizing maps x of the level to ``(x + 0.5) * W / round(W / s) - 0.5``: up to two pixels away at level 7.
+    """
+    s, ratio = _orb_level(level, scale_factor, shape)
+    return np.asarray((xy / s + 0.5) * ratio - 0.5)
+
+
+def true_to_orb(xy: FloatArray, level: NDArray[Any], scale_factor: float, shape: tuple[int, int]) -> FloatArray:
+    """Return where ORB would report the points; the inverse of `orb_to_true`."""
+    s, ratio = _orb_level(level, scale_factor, shape)
+    return np.asarray(((xy + 0.5) / ratio - 0.5) * s)
+
+
+def _orb_level(level: NDArray[Any], scale_factor: float, shape: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
+    s = (scale_factor ** level.astype(np.float64)).astype(np.float32)[:, None]
+    size = np.array(shape[::-1], dtype=np.float32)
+    columns_and_rows = np.rint(size * (np.float32(1.0) / s))  # in float32 as ORB does, which decides ties
+    return s.astype(np.float64), size / np.maximum(columns_and_rows, 1.0).astype(np.float64)
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of an OpenCV algorithm.
+
+    Parameters
+    ----------
+    keyword : OpenCV's own name of it; "" where featreg alone uses it
+    default : its default; values must be of the same type
+    choices : word -> OpenCV's constant, for parameters that are chosen from a list
+    """
+
+    keyword: str
+    default: Any
+    choices: Mapping[Any, int] | None = field(default=None, hash=False)
+
+
+@dataclass(frozen=True)
+class Algorithm:
+    """One row of a family's table: OpenCV's name of an algorithm, a summary and its parameters by our names."""
+
+    creator: str
+    summary: str
+    parameters: Mapping[str, Parameter] = field(hash=False)
+
+    @property
+    def defaults(self) -> dict[str, Any]:
+        return {key: p.default for key, p in self.parameters.items()}
+
+    def settings(self, given: Mapping[str, Any]) -> dict[str, Any]:
+        """Return every parameter's value, with `given` checked.
+
+        Raises
+        ------
+        ParameterError
+            A parameter that the algorithm does not have, or a value it refuses.
+        """
+        values = self.defaults
+        for key, value in given.items():
+            if key not in values:
+                raise ParameterError(f"OpenCV's {self.creator} has no parameter '{key}', {suggest(key, values)}")
+            values[key] = _checked(key, value, self.parameters[key])
+        return values
+
+    def make(self, values: Mapping[str, Any]) -> Any:
+        """Return a new OpenCV object with these values (creating one costs far less than any use of it)."""
+        found = resolve(self.creator)
+        if isinstance(found, str):
+            raise ParameterError(f"{self.creator} cannot be used here: {found}")
+        keywords = {
+            p.keyword: p.choices[values[key]] if p.choices else values[key]
+            for key, p in self.parameters.items()
+            if p.keyword
+        }
+        if self.creator == "SimpleBlobDetector":
+            import cv2
+
+            options = cv2.SimpleBlobDetector.Params()
+            for keyword, value in keywords.items():
+                setattr(options, keyword, value)
+            return found(options)
+        return found(**keywords)
+
+
+NORMALISE = {"normalise": Parameter("", "auto")}
+
+
+def _checked(key: str, value: Any, parameter: Parameter) -> Any:
+    wanted = type(parameter.default)
+    if parameter.choices is not None:
+        if value not in parameter.choices:
+            known = ", ".join(map(repr, parameter.choices))
+            raise ParameterError(f"{key} must be one of {known}, got {value!r}")
+        return value
+    if wanted is float and isinstance(value, int | np.integer | np.floating) and not isinstance(value, bool):
+        value = float(value)
+    elif wanted is int and isinstance(value, np.integer):
+        value = int(value)
+    if type(value) is not wanted:
+        raise ParameterError(f"{key} must be of type {wanted.__name__}, got {value!r}")
+    if key == "n_features" and value < 1:
+        raise ParameterError(f"n_features must be at least 1, got {value}")
+    if key == "normalise" and value not in METHODS:
+        raise ParameterError(f"unknown normalise method '{value}', {suggest(value, METHODS)}")
+    return value

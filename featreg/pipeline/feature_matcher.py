@@ -1,0 +1,113 @@
+"""The matcher that puts a detector, a descriptor and a nearest-neighbour search together."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from featreg.errors import ParameterError
+from featreg.interfaces import Descriptor, Detector, Matcher, Nearest
+from featreg.runtime.timing import stage
+from featreg.types import Features, FloatArray, Image, IntArray, Matches
+
+# The vote on a common rotation: how many features take part, the width of a bin, and how far (in standard
+# deviations of a Poisson count) the best must stand out.
+VOTERS = 500
+BINS = 72
+SMOOTHING = 2
+SIGNIFICANCE = 6.0
+
+
+@dataclass(frozen=True)
+class FeatureMatcher(Matcher):
+    """Detect, describe, pair.
+
+    Parameters
+    ----------
+    detector, descriptor, nearest : the parts; `descriptor` may be None where the detector describes at once
+    n_features : at most so many features of each image are used, those of the highest score
+    common_rotation : look for one rotation between the images and describe all features of each image in one direction
+
+    Notes
+    -----
+    Under speckle the orientation of a single keypoint is off by tens of degrees, but two images of one scene are turned
+    by one angle. With `common_rotation` the strongest features, described by their own angles, vote on it; where the
+    vote is clear, all features of the reference are described upright and those of the secondary turned by that angle.
+    Where it is not, each keeps its own.
+    """
+
+    detector: Detector
+    descriptor: Descriptor | None
+    nearest: Nearest
+    n_features: int = 5000
+    common_rotation: bool = True
+
+    @property
+    def reach(self) -> float:
+        """That of the detector, or of the descriptor at the detector's largest keypoints."""
+        found = self.detector.reach
+        return found if self.descriptor is None else max(found, self.descriptor.reach_of(found))
+
+    def match(self, reference: Image, secondary: Image) -> Matches:
+        with stage("detect"):
+            found = [self.detector.detect_features(image).best(self.n_features) for image in (reference, secondary)]
+        if not len(found[0]) or not len(found[1]):
+            return Matches.empty()
+        rotation = self._vote(reference, secondary, *found)
+        if rotation is not None:
+            found = [replace(f, angle=np.full(len(f), turn)) for f, turn in zip(found, (0.0, rotation), strict=True)]
+        a, b = self._describe(reference, found[0]), self._describe(secondary, found[1])
+        with stage("match"):
+            pairs, score = self.nearest.match_features(a, b)
+        i, j = pairs.T
+        return Matches(
+            a.xy[i],
+            b.xy[j],
+            score,
+            rotation=_wrapped(b.angle[j] - a.angle[i]),
+            scale_ratio=b.scale[j] / np.maximum(a.scale[i], 1e-9),
+        )
+
+    def _describe(self, image: Image, features: Features) -> Features:
+        if features.descriptors is not None:
+            return features
+        if self.descriptor is None:
+            name = type(self.detector).__name__
+            raise ParameterError(f"detector {name} gives no descriptors: choose one, as in descriptor='brief'")
+        with stage("describe"):
+            return self.descriptor.describe_features(image, features)
+
+    def _vote(self, reference: Image, secondary: Image, a: Features, b: Features) -> float | None:
+        if not self.common_rotation or a.descriptors is not None or b.descriptors is not None:
+            return None
+        if (a.angle == a.angle[0]).all() or (b.angle == b.angle[0]).all():
+            return None
+        first = self._describe(reference, a.best(VOTERS))
+        second = self._describe(secondary, b.best(VOTERS))
+        with stage("rotation"):
+            pairs, _ = self.nearest.match_features(first, second)
+            return common_rotation(second.angle[pairs[:, 1]] - first.angle[pairs[:, 0]])
+
+
+def common_rotation(differences: FloatArray) -> float | None:
+    """Return the angle in radians on which (M,) angle differences agree, or None where they do not stand out."""
+    if not len(differences):
+        return None
+    wrapped = _wrapped(differences)
+    bins: IntArray = np.floor((wrapped + math.pi) / (2 * math.pi) * BINS).astype(np.int64) % BINS
+    counts = np.bincount(bins, minlength=BINS)
+    window = np.sum([np.roll(counts, shift) for shift in range(-SMOOTHING, SMOOTHING + 1)], axis=0)
+    best = int(np.argmax(window))
+    expected = len(wrapped) * (2 * SMOOTHING + 1) / BINS
+    if window[best] < expected + SIGNIFICANCE * math.sqrt(expected):
+        return None
+    centre = (best + 0.5) / BINS * 2 * math.pi - math.pi
+    near = _wrapped(wrapped - centre)
+    near = near[np.abs(near) <= (2 * SMOOTHING + 1) * math.pi / BINS]
+    return float(centre + np.median(near))
+
+
+def _wrapped(angle: FloatArray) -> FloatArray:
+    return np.asarray((angle + math.pi) % (2 * math.pi) - math.pi)

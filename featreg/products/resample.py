@@ -1,0 +1,216 @@
+"""The secondary image on the reference grid: ``output[p] = secondary[model(p)]``."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from featreg.errors import InputError, ParameterError, suggest
+from featreg.interfaces import FailedFit, Model
+from featreg.io import ImageLike, as_image
+from featreg.products.lattice import Lattice, lattice_of
+from featreg.results.registration import Registration
+from featreg.types import BoolArray, FloatArray, Image
+
+#: Pixels that one output value rests on, along each axis.
+TAPS = {"nearest": 1, "bilinear": 2, "cubic": 4, "lanczos": 8}
+TILE = 1024
+
+logger = logging.getLogger(__name__)
+
+
+def resample(
+    image: Image, model: Callable[[FloatArray], FloatArray], shape: tuple[int, int], *, resampling: str = "lanczos"
+) -> Image:
+    """Return `image` on another grid.
+
+    Parameters
+    ----------
+    image : the secondary
+    model : maps (N, 2) float64 points (x, y) of the new grid to points of `image`
+    shape : (H, W) of the new grid
+    resampling : "nearest", "bilinear", "cubic" (4 x 4 pixels) or "lanczos" (8 x 8)
+
+    Returns
+    -------
+    Image
+        (H, W), float32 or complex64 as `image`, without geolocation. A pixel is valid where all pixels of `image` it
+        rests on are; at a pixel's centre that is this one alone. Where the model is not finite, pixels are invalid.
+
+    Raises
+    ------
+    ParameterError
+        An unknown resampling, or an impossible shape.
+    InputError
+        The model does not return as many points as it is given.
+
+    Notes
+    -----
+    Positions are those of the model to 1e-4 px (0.01 px where it rests on an elevation model), weights are exact to
+    4e-7, sums are made in float32. Lanczos is within 0.4 % up to a fifth of the Nyquist frequency and within 3 % up to
+    0.7 of it, cubic within 0.5 % and 37 %: lanczos suits speckle and complex samples, cubic suits smooth maps.
+    Amplitude is cut at 0, since cubic and lanczos swing below it beside bright points. A model that shrinks the image
+    is not low-passed; complex samples with a Doppler centroid or a phase ramp far from 0 need it removed before
+    (`featreg.warp_file` does with ``deramp=True``).
+
+    References
+    ----------
+    R. G. Keys, Cubic convolution interpolation for digital image processing, IEEE Trans. ASSP, 1981,
+    doi:10.1109/TASSP.1981.1163711
+    """
+    if resampling not in TAPS:
+        raise ParameterError(f"unknown resampling '{resampling}', {suggest(resampling, TAPS)}")
+    height, width = (int(n) for n in shape)
+    if height < 1 or width < 1:
+        raise ParameterError(f"shape must be (H, W) of at least 1 x 1, got {shape}")
+    pixels: NDArray[Any] = np.empty((height, width), image.pixels.dtype)
+    mask = np.empty((height, width), np.bool_)
+    whole = Support(image.pixels, image.mask, resampling)
+    for rows, cols in tiles(height, width):
+        size = rows.stop - rows.start, cols.stop - cols.start
+        pixels[rows, cols], mask[rows, cols] = whole.sample(lattice_of(model, cols.start, rows.start, size))
+    if not image.is_complex:
+        np.maximum(pixels, 0, out=pixels)
+    # Interpolated 8-bit samples are no longer 8-bit: they swing beyond 255.
+    dtype = image.source_dtype if resampling == "nearest" else str(pixels.dtype)
+    return Image(pixels, mask, None, image.name, dtype, image.scale)
+
+
+class Support:
+    """An image made ready for `sample`.
+
+    Parameters
+    ----------
+    pixels : (H, W) float32 or complex64, finite
+    mask : (H, W) bool, True = data
+    resampling : a key of `TAPS`
+    """
+
+    def __init__(self, pixels: NDArray[Any], mask: BoolArray, resampling: str) -> None:
+        from featreg.products.resample_kernels import weight_table
+
+        self.taps = TAPS[resampling]
+        self.channels = 2 if np.iscomplexobj(pixels) else 1
+        self.dtype = pixels.dtype
+        self.flat = np.ascontiguousarray(pixels).view(np.float32).ravel()
+        self.mask = np.ascontiguousarray(mask)
+        self.inner = _inner(self.mask, self.taps)
+        self.table = weight_table(max(self.taps, 2))
+
+    def sample(self, lattice: Lattice) -> tuple[NDArray[Any], BoolArray]:
+        """Return the samples (h, w) at the positions of a lattice, 0 where they are not valid, and their mask."""
+        from featreg.products.resample_kernels import interpolate
+
+        values = np.empty((*lattice.shape, self.channels), np.float32)
+        valid = np.empty(lattice.shape, np.bool_)
+        x, y, step = lattice.x, lattice.y, lattice.step
+        interpolate(self.flat, self.mask, self.inner, x, y, step, self.table, self.taps, self.channels, values, valid)
+        return values.view(self.dtype)[..., 0], valid
+
+
+def _inner(mask: BoolArray, taps: int) -> BoolArray:
+    """Return where all of the `taps` x `taps` pixels around a position just right of and below a pixel are data."""
+    import cv2
+
+    if taps == 1:
+        return mask
+    before = taps // 2 - 1
+    eroded = cv2.erode(
+        mask.view(np.uint8),
+        np.ones((taps, taps), np.uint8),
+        anchor=(before, before),
+        borderType=cv2.BORDER_CONSTANT,
+        borderValue=(0,),
+    )
+    return np.asarray(eroded).view(np.bool_)
+
+
+def tiles(height: int, width: int) -> Iterator[tuple[slice, slice]]:
+    """Cut a grid so that the positions of one tile, not of a whole scene, are in memory."""
+    for top in range(0, height, TILE):
+        for left in range(0, width, TILE):
+            yield slice(top, min(top + TILE, height)), slice(left, min(left + TILE, width))
+
+
+def warp(
+    registration: Registration,
+    secondary: ImageLike,
+    *,
+    like: ImageLike | tuple[int, int] | None = None,
+    resampling: str = "lanczos",
+) -> NDArray[np.float32] | NDArray[np.complex64]:
+    """Return the secondary image on the reference grid.
+
+    Parameters
+    ----------
+    registration : the result of `featreg.match`; its model is used even when it is not trusted (a warning is logged)
+    secondary : path, 2-D array or `Image`, of the same grid as the secondary that was matched
+    like : the reference (path, array or `Image`) or its (H, W), where the registration does not name its size
+    resampling : "nearest", "bilinear", "cubic" or "lanczos"
+
+    Returns
+    -------
+    (H, W) float32 linear amplitude, whatever scale the file has, or complex64; NaN (complex: nan+nanj) where the
+    secondary has no data
+
+    Raises
+    ------
+    InputError
+        There is no model, the reference's size is not known, or the secondary cannot be used.
+    ParameterError
+        An unknown resampling.
+    """
+    model = model_of(registration)
+    image = as_image(secondary)
+    warped = resample(image, model, _reference_shape(registration, like), resampling=resampling)
+    blank = np.complex64(complex(np.nan, np.nan)) if image.is_complex else np.float32(np.nan)
+    return np.where(warped.mask, warped.pixels, blank)
+
+
+def model_of(registration: Registration) -> Model:
+    """Return the model of a registration, with a logged warning where it is not trusted.
+
+    Raises
+    ------
+    InputError
+        There is none.
+    """
+    model = registration.model
+    if isinstance(model, FailedFit):
+        raise InputError(f"the registration has no model ({model.reason}), so nothing can be warped")
+    if registration.status != "ok":
+        logger.warning(
+            "the registration is %s (%s), warping with its best model", registration.status, registration.reason
+        )
+    return model
+
+
+def stated_shape(like: tuple[int, ...]) -> tuple[int, int]:
+    """Return (H, W) as a caller stated it; an `InputError` where it is none."""
+    if len(like) != 2 or not all(isinstance(n, int | np.integer) and n > 0 for n in like):
+        raise InputError(f"like must be the reference image or its (H, W), got {like}")
+    return int(like[0]), int(like[1])
+
+
+def _reference_shape(registration: Registration, like: ImageLike | tuple[int, int] | None) -> tuple[int, int]:
+    if isinstance(like, tuple):
+        return stated_shape(like)
+    if isinstance(like, Image):
+        return like.shape
+    if isinstance(like, str | Path):
+        return as_image(like).shape
+    if like is not None:
+        shape = np.shape(like)
+        if len(shape) != 2:
+            raise InputError(f"like must be the reference image or its (H, W), got an array of shape {shape}")
+        return shape[0], shape[1]
+    try:
+        reference = registration.provenance["inputs"]["reference"]
+        return int(reference["height"]), int(reference["width"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError("the registration does not say the reference's size; give it as like=(H, W)") from error

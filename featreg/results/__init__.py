@@ -1,0 +1,1 @@
+"""What a match returns, and its file."""

@@ -1,0 +1,331 @@
+"""The JSON of a registration: written whole, read back whole.
+
+Layout (schema version 1)
+-------------------------
+One object: ``schema_version, method, status, reason, gates, seed, reference, secondary, model, counts, blocks, timings,
+provenance, tie_points``. Points are (x, y) in pixels, the centre of the first pixel is (0, 0). ``nan`` and ``inf`` are
+written as null. `counts` lists the filters in the order in which they ran. The column `stage` is how many filters, from
+the first on, a tie point survived; a mask that does not follow from it (that of a refinement, whose points are not in
+the stages before it) stands packed in ``tie_points.masks`` (base64 of `numpy.packbits`). Where no model could be fitted
+`model` is null and `model_failure` says why. More than 20 000 tie points stand in a Parquet file beside the JSON.
+"""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import hashlib
+import io
+import json
+import math
+import uuid
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from featreg.errors import InputError
+from featreg.geometry import model_from_dict, model_to_dict
+from featreg.interfaces import FailedFit, Model
+from featreg.runtime.files import write_atomic
+from featreg.types import BoolArray, Gate, IntArray, Matches
+
+if TYPE_CHECKING:
+    from featreg.results.registration import Registration
+
+SCHEMA_VERSION = 1
+#: Most tie points that stand in the JSON itself.
+MAX_ROWS = 20_000
+BLOCK_COUNTS = ("total", "computed", "reused", "skipped", "failed")
+RESERVED = ("putative", "inliers")
+
+R = TypeVar("R")
+
+
+def plain(value: Any) -> Any:
+    """Return `value` in the types of JSON: numpy scalars, tuples, paths, models, dataclasses converted, NaN as None."""
+    if value is None or isinstance(value, bool | str | int):
+        return value
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, np.generic | np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    if isinstance(value, set | frozenset):
+        return sorted((plain(v) for v in value), key=str)
+    if isinstance(value, Model):
+        return plain(model_to_dict(value))
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    if isinstance(value, type) or callable(value):
+        return getattr(value, "__qualname__", type(value).__qualname__)
+    text = str(value)
+    # An address in memory would make two writings of one result differ.
+    return type(value).__qualname__ if " at 0x" in text else text
+
+
+def registration_to_dict(registration: Registration) -> dict[str, Any]:
+    """Return the object that `write_registration` writes, every tie point in it, in plain Python values."""
+    stage = _stage(registration)
+    columns = _columns(registration, stage)
+    return {**_head(registration), "tie_points": _table(columns, _masks(registration, stage), _rows(columns))}
+
+
+def write_registration(registration: Registration, path: str | Path) -> None:
+    """Write a registration as JSON; beyond 20 000 tie points these go to ``<name>.tie_points.parquet`` beside it.
+
+    Each file appears whole or not at all, the Parquet file first. Equal registrations give equal bytes.
+
+    Raises
+    ------
+    InputError
+        The file cannot be written, or a filter is called "putative" or "inliers".
+    """
+    path = Path(path)
+    stage = _stage(registration)
+    columns, masks, head = _columns(registration, stage), _masks(registration, stage), _head(registration)
+    if len(stage) > MAX_ROWS:
+        beside = tie_point_file(path)
+        content = parquet_of(columns)
+        write_atomic(beside, content)
+        table = {"file": beside.name, "columns": list(columns), "sha256": hashlib.sha256(content).hexdigest()}
+        text = _layout({**head, "tie_points": table | ({"masks": masks} if masks else {})})
+    else:
+        # The rows are encoded in one go, one tie point a line: a general pretty printer would take seconds.
+        rows = json.dumps(_rows(columns), separators=(",", ":"), allow_nan=False).replace("],[", "],\n      [")
+        slot = uuid.uuid4().hex
+        text = _layout({**head, "tie_points": _table(columns, masks, slot)}).replace(
+            f'"{slot}"', rows.replace("[[", "[\n      [", 1)
+        )
+    write_atomic(path, (text + "\n").encode())
+
+
+def tie_point_file(path: Path) -> Path:
+    """Return the file beside a result in which its tie points stand where they are many."""
+    return path.with_name(f"{path.stem}.tie_points.parquet")
+
+
+def read_registration(path: str | Path, make: Callable[..., R]) -> R:
+    """Read what `write_registration` wrote.
+
+    Parameters
+    ----------
+    path : of the JSON file
+    make : makes the result of the fields of a `Registration`, as keywords
+
+    Raises
+    ------
+    InputError
+        The file is missing, truncated, of another schema version or no result of featreg.
+    """
+    path = Path(path)
+    try:
+        return make(**_fields(json.loads(path.read_text(encoding="utf-8")), path.parent))
+    except OSError as error:
+        raise InputError(f"cannot read '{error.filename or path}': {error.strerror}") from error
+    except KeyError as error:
+        raise InputError(f"'{path}' is not a featreg result: {error.args[0]} is missing") from error
+    except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
+        why = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(f"'{path}' is not a whole featreg result: {why}") from error
+
+
+def _head(registration: Registration) -> dict[str, Any]:
+    """Everything but the tie points, in the order of the file."""
+    provenance = {k: v for k, v in registration.provenance.items() if k != "tie_point_blocks"}
+    inputs = provenance.get("inputs") or {}
+    images = {
+        role: {key: plain((inputs.get(role) or {}).get(key)) for key in ("path", "width", "height")}
+        for role in ("reference", "secondary")
+    }
+    blocks = provenance.get("blocks") or {}
+    for name in registration.stages:
+        if name in RESERVED:
+            raise InputError(f"a filter cannot be called '{name}': the result counts the {name} tie points under it")
+    model = registration.model
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "method": plain(provenance.get("method")),
+        "status": registration.status,
+        "reason": registration.reason,
+        "gates": plain(registration.gates),
+        "seed": plain(provenance.get("seed")),
+        **images,
+        "model": None if isinstance(model, FailedFit) else {**plain(model), **plain(registration.standard_errors)},
+        **({"model_failure": model.reason} if isinstance(model, FailedFit) else {}),
+        "counts": {
+            "putative": int(registration.putative.sum()),
+            **{name: int(mask.sum()) for name, mask in registration.stages.items()},
+            "inliers": int(registration.inliers.sum()),
+        },
+        "blocks": {key: int(blocks.get(key, 0)) for key in BLOCK_COUNTS},
+        "timings": plain(registration.timings),
+        "provenance": plain(provenance),
+    }
+
+
+def _stage(registration: Registration) -> IntArray:
+    """(M,) how many filters, from the first on, each tie point survived."""
+    alive = np.ones(len(registration.matches), dtype=np.bool_)
+    stage = np.zeros(len(alive), dtype=np.int64)
+    for mask in registration.stages.values():
+        alive &= mask
+        stage += alive
+    return stage
+
+
+def _masks(registration: Registration, stage: IntArray) -> dict[str, str]:
+    """The stages that do not follow from `stage`, packed."""
+    return {
+        name: base64.b64encode(np.packbits(mask).tobytes()).decode()
+        for k, (name, mask) in enumerate(registration.stages.items())
+        if not np.array_equal(mask, stage > k)
+    }
+
+
+def tie_point_columns(registration: Registration) -> dict[str, NDArray[Any]]:
+    """Return the columns (M,) of the tie-point table by name, in its order."""
+    return _columns(registration, _stage(registration))
+
+
+def _columns(registration: Registration, stage: IntArray) -> dict[str, NDArray[Any]]:
+    matches = registration.matches
+    blocks = registration.provenance.get("tie_point_blocks")
+    columns: dict[str, NDArray[Any]] = {
+        "reference_x": matches.reference_xy[:, 0],
+        "reference_y": matches.reference_xy[:, 1],
+        "secondary_x": matches.secondary_xy[:, 0],
+        "secondary_y": matches.secondary_xy[:, 1],
+        "score": matches.score,
+        "residual": registration.residuals(),
+        "inlier": registration.inliers,
+        "stage": stage,
+        "origin": matches.origin,
+        "block": np.full(len(matches), -1) if blocks is None else np.asarray(blocks, dtype=np.int64),
+    }
+    if matches.covariance is not None:
+        for name, (i, j) in {"cov_xx": (0, 0), "cov_xy": (0, 1), "cov_yy": (1, 1)}.items():
+            columns[name] = matches.covariance[:, i, j]
+    if matches.rotation is not None:
+        columns["rotation"] = matches.rotation
+    if matches.scale_ratio is not None:
+        columns["scale_ratio"] = matches.scale_ratio
+    return columns
+
+
+def _rows(columns: Mapping[str, NDArray[Any]]) -> list[list[Any]]:
+    def values(array: NDArray[Any]) -> list[Any]:
+        listed: list[Any] = array.tolist()
+        return listed if np.isfinite(array).all() else [v if math.isfinite(v) else None for v in listed]
+
+    return [list(row) for row in zip(*(values(c) for c in columns.values()), strict=True)]
+
+
+def _table(columns: Mapping[str, Any], masks: Mapping[str, str], rows: Any) -> dict[str, Any]:
+    return {"columns": list(columns), **({"masks": dict(masks)} if masks else {}), "rows": rows}
+
+
+def parquet_of(columns: Mapping[str, NDArray[Any]]) -> bytes:
+    """Return a Parquet file of columns (M,); numbers that are not finite are null."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    arrays = {
+        name: pa.array(values, mask=~np.isfinite(values) if values.dtype.kind == "f" else None)
+        for name, values in columns.items()
+    }
+    sink = pa.BufferOutputStream()
+    pq.write_table(pa.table(arrays), sink, compression="zstd")
+    content: bytes = sink.getvalue().to_pybytes()
+    return content
+
+
+def _layout(value: Any, indent: int = 0) -> str:
+    """JSON with short objects and all innermost lists on one line."""
+    flat = json.dumps(value, allow_nan=False, ensure_ascii=False)
+    if not isinstance(value, dict | list) or len(flat) + indent <= 110 or not value:
+        return flat
+    pad = "\n" + " " * (indent + 2)
+    if isinstance(value, list):
+        if not any(isinstance(v, dict | list) for v in value):
+            return flat
+        return "[" + ",".join(pad + _layout(v, indent + 2) for v in value) + pad[:-2] + "]"
+    lines = (f"{pad}{json.dumps(k, ensure_ascii=False)}: {_layout(v, indent + 2)}" for k, v in value.items())
+    return "{" + ",".join(lines) + pad[:-2] + "}"
+
+
+def _fields(data: Any, folder: Path) -> dict[str, Any]:
+    """The fields of the registration that a file holds."""
+    if not isinstance(data, dict) or "schema_version" not in data:
+        raise InputError("it has no schema_version")
+    if data["schema_version"] != SCHEMA_VERSION:
+        raise InputError(f"schema_version is {data['schema_version']}, this featreg reads {SCHEMA_VERSION}")
+    columns = _read_columns(data["tie_points"], folder)
+    stage = _whole(columns["stage"])
+    stages = _read_stages([n for n in data["counts"] if n not in RESERVED], stage, data["tie_points"].get("masks", {}))
+    covariance = None
+    if "cov_xx" in columns:
+        xx, xy, yy = columns["cov_xx"], columns["cov_xy"], columns["cov_yy"]
+        covariance = np.stack([np.stack([xx, xy], -1), np.stack([xy, yy], -1)], -2)
+    matches = Matches(
+        np.stack([columns["reference_x"], columns["reference_y"]], -1),
+        np.stack([columns["secondary_x"], columns["secondary_y"]], -1),
+        columns["score"],
+        covariance,
+        _whole(columns["origin"]),
+        columns.get("rotation"),
+        columns.get("scale_ratio"),
+    )
+    inliers = _whole(columns["inlier"]) != 0
+    if int(inliers.sum()) != data["counts"]["inliers"] or any(data["counts"][n] != m.sum() for n, m in stages.items()):
+        raise InputError("its counts and its tie points disagree")
+    block = _whole(columns["block"])
+    return {
+        "matches": matches,
+        "stages": stages,
+        "inliers": inliers,
+        "model": FailedFit(data["model_failure"]) if data["model"] is None else model_from_dict(data["model"]),
+        "status": data["status"],
+        "reason": data["reason"],
+        "gates": {name: Gate(**gate) for name, gate in data["gates"].items()},
+        "timings": dict(data["timings"]),
+        "provenance": data["provenance"] | ({"tie_point_blocks": block} if (block >= 0).any() else {}),
+    }
+
+
+def _read_columns(table: Mapping[str, Any], folder: Path) -> dict[str, NDArray[np.float64]]:
+    names = table["columns"]
+    if "file" not in table:
+        rows = np.array(table["rows"], dtype=np.float64).reshape(len(table["rows"]), len(names))
+        return {name: rows[:, i] for i, name in enumerate(names)}
+    if Path(table["file"]).name != table["file"]:
+        raise InputError(f"its tie-point file must be a name in the same folder, got '{table['file']}'")
+    import pyarrow.parquet as pq
+
+    content = (folder / table["file"]).read_bytes()
+    if hashlib.sha256(content).hexdigest() != table["sha256"]:
+        raise InputError(f"'{table['file']}' is not the tie-point file that was written with it")
+    read = pq.ParquetFile(io.BytesIO(content)).read(columns=names)
+    return {name: np.asarray(read[name].to_numpy(), dtype=np.float64) for name in names}
+
+
+def _read_stages(names: list[str], stage: IntArray, masks: Mapping[str, str]) -> dict[str, BoolArray]:
+    stages = {}
+    for k, name in enumerate(names):
+        if name in masks:
+            packed = np.frombuffer(base64.b64decode(masks[name], validate=True), dtype=np.uint8)
+            stages[name] = np.unpackbits(packed, count=len(stage)).astype(np.bool_)
+        else:
+            stages[name] = stage > k
+    return stages
+
+
+def _whole(values: NDArray[np.float64]) -> IntArray:
+    if not np.isfinite(values).all():
+        raise InputError("a column of whole numbers holds null")
+    return values.astype(np.int64)

@@ -1,0 +1,86 @@
+"""What a match returns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from featreg.errors import InputError
+from featreg.interfaces import FailedFit, Model
+from featreg.results.json_file import read_registration, write_registration
+from featreg.results.standard_errors import standard_errors as rigid_errors
+from featreg.types import BoolArray, FloatArray, Gate, Matches, column
+
+
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """What `featreg.match` returns.
+
+    Parameters
+    ----------
+    matches : every tie point, refined ones appended at the end
+    stages : filter name -> (M,) bool, in the order in which the filters ran
+    inliers : (M,) bool, the final set, on which the model was fitted
+    model : the best fit, kept also when it is not trusted; a falsy `FailedFit` where none could be made
+    status : "ok" or "unreliable"
+    reason : why it is unreliable; empty when ok
+    gates : name -> Gate, every condition with its value
+    timings : stage -> seconds
+    provenance : method, every parameter, versions, seed and inputs
+    """
+
+    matches: Matches
+    stages: Mapping[str, BoolArray]
+    inliers: BoolArray
+    model: Model | FailedFit
+    status: str
+    reason: str = ""
+    gates: Mapping[str, Gate] = field(default_factory=dict)
+    timings: Mapping[str, float] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        m = len(self.matches)
+        object.__setattr__(self, "inliers", column(self.inliers, m, "Registration.inliers", np.bool_))
+        stages = {k: column(v, m, f"Registration.stages['{k}']", np.bool_) for k, v in self.stages.items()}
+        object.__setattr__(self, "stages", stages)
+        if self.status not in ("ok", "unreliable"):
+            raise InputError(f"status must be 'ok' or 'unreliable', got '{self.status}'")
+        if self.status == "unreliable" and not self.reason:
+            raise InputError("an unreliable registration needs a reason")
+
+    @property
+    def putative(self) -> BoolArray:
+        """(M,) bool, True for the tie points of the matcher, False for those that refinement appended."""
+        mine = self.matches.origin < 0
+        return mine & ~self.stages["refine"] if "refine" in self.stages else mine
+
+    def residuals(self) -> FloatArray:
+        """(M,) distance in pixels of each tie point from the model; NaN where there is no model."""
+        if not self.model:
+            return np.full(len(self.matches), np.nan)
+        return self.model.residuals(self.matches.reference_xy, self.matches.secondary_xy)
+
+    @property
+    def standard_errors(self) -> Mapping[str, Any]:
+        """Of a rigid model: ``rotation_deg_se``, ``shift_se_px`` (x, y at the image centre), ``degrees_of_freedom``."""
+        return rigid_errors(self)
+
+    def to_json(self, path: str | Path) -> None:
+        """Write the result as one JSON file (beyond 20 000 tie points, these stand in a Parquet file beside it)."""
+        write_registration(self, Path(path))
+
+    @classmethod
+    def from_json(cls, path: str | Path) -> Self:
+        """Read what `to_json` wrote, whole.
+
+        Raises
+        ------
+        InputError
+            The file is missing, cut short, of another schema version or no result of featreg.
+        """
+        return read_registration(Path(path), cls)

@@ -1,0 +1,1 @@
+"""Threads, executors, files, versions and compiling: what runs the work."""

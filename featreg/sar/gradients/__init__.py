@@ -1,0 +1,1 @@
+"""Gradients and filters of speckled images."""

@@ -1,0 +1,178 @@
+"""Ratio gradients from odd Gabor filters: the means under the two halves of the filter, and the log of their ratio.
+
+References
+----------
+S. Paul, U. C. Pati, "A Gabor Odd Filter-Based Ratio Operator for SAR Image Matching", IEEE Geosci. Remote Sens. Lett.
+16 (2019) 397, DOI 10.1109/LGRS.2018.2872979.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from featreg.sar.gradients.fourier import fast_length, inverse_transform, transform
+from featreg.sar.gradients.gradient_field import clear_of_nodata
+from featreg.sar.speckle import filled_amplitude, mean_amplitude
+from featreg.types import Image
+
+F32 = NDArray[np.float32]
+
+# Wavelength and length along the edge of the filter, in units of its standard deviation across the edge.
+WAVELENGTH, LENGTH = 4.0, 1.5
+# Standard deviations to which a filter reaches.
+REACH = 3.0
+# Pixels nearer than so many standard deviations to nodata, which counts as the mean, get no gradient.
+BLIND = 2.0
+# Side, at most about, of the equal pieces in which an image is filtered, without their margins: a spectrum stays in the
+# processor's cache.
+PIECE = 300
+# Filters of more bytes are made anew each time.
+KEPT = 32 << 20
+
+
+def gabor_gradients(
+    image: Image, sigma: float, orientations: int = 6, floor: float = 0.01, sparse: bool = False
+) -> tuple[F32, F32]:
+    """Return the ratio gradients of an image, from odd Gabor filters in several directions.
+
+    Parameters
+    ----------
+    image : amplitude (of any number of looks) or complex; invalid pixels count as the mean amplitude
+    sigma : standard deviation in pixels of the filter's envelope across the edge
+    orientations : directions over half a turn, at least 2
+    floor : added to both means, relative to the mean amplitude of the image
+    sparse : compute them in every other row and column only, and interpolate linearly in between: a third of the
+        time. At a sigma of two pixels that smooths speckle's gradients by 29 % of their root mean square, of 2.8 by
+        16 %; descriptors match as well
+
+    Returns
+    -------
+    gx, gy : (H, W) float32
+        x and (downwards) y components, towards growing amplitude; 0 within 2 sigma of invalid pixels.
+
+    Notes
+    -----
+    With the filter exp(-(u^2 + (v / 1.5)^2) / (2 sigma^2)) sin(2 pi u / (4 sigma)), u across the edge, the positive
+    half is where it is positive and the negative half where it is negative, both by amount and of unit sum. They are
+    mirror images of each other, so that one complex Fourier product with a real array gives the half sum of the two
+    means as its real and their half difference as its imaginary part. Every other sample of these is the transform of
+    the spectrum folded to half its size. The logarithms of the ratios r(theta) are projected:
+    g = 2 / n * sum of r(theta) (cos theta, sin theta), which is exact for a straight edge seen as a cosine. Borders are
+    reflected.
+    """
+    return image.derive(
+        _gabor_gradients, sigma=float(sigma), orientations=int(orientations), floor=float(floor), sparse=bool(sparse)
+    )
+
+
+def _gabor_gradients(image: Image, sigma: float, orientations: int, floor: float, sparse: bool) -> tuple[F32, F32]:
+    import cv2
+
+    from featreg.sar.gradients import gabor_kernels
+
+    spacing = 2 if sparse else 1
+    small, gain = np.float32(max(floor, 1e-30)), np.float32(1 / max(mean_amplitude(image), 1e-30))
+    margin = _reach(sigma)
+    # One sample more than there are pairs of pixels, so that the last pixel too lies between two.
+    beyond = margin + spacing - 1
+    padded = cv2.copyMakeBorder(filled_amplitude(image), margin, beyond, margin, beyond, cv2.BORDER_REFLECT_101)
+    wide = np.multiply(padded, gain, out=padded, dtype=np.float32)
+    gx, gy = np.zeros((2, *(side if spacing == 1 else side // 2 + 1 for side in image.shape)), np.float32)
+    for rows in _pieces(gx.shape[0], PIECE // spacing):
+        for columns in _pieces(gx.shape[1], PIECE // spacing):
+            outer = tuple(slice(spacing * s.start, spacing * (s.stop - 1) + 1 + 2 * margin) for s in (rows, columns))
+            place = rows.start, columns.start, rows.stop - rows.start, columns.stop - columns.start
+            _piece(wide[outer], margin, sigma, orientations, small, spacing, place, gx, gy)
+    if sparse:
+        between = np.empty((2, *image.shape), np.float32)
+        for samples, component in zip((gx, gy), between, strict=True):
+            gabor_kernels.interpolate(samples, component)
+        gx, gy = between
+    if not image.all_valid:
+        near = ~clear_of_nodata(image, BLIND * sigma)
+        gx[near] = 0
+        gy[near] = 0
+    return gx, gy
+
+
+def _pieces(length: int, most: int) -> list[slice]:
+    """Cut a length into as few nearly equal slices as are hardly longer than `most`."""
+    count = max(1, math.ceil((length - 1) / most))
+    ends = [length * n // count for n in range(count + 1)]
+    return [slice(start, stop) for start, stop in pairwise(ends)]
+
+
+def _piece(
+    amplitude: F32, margin: int, sigma: float, orientations: int, small: np.float32, spacing: int,
+    place: tuple[int, int, int, int], gx: F32, gy: F32,
+) -> None:  # fmt: skip
+    """Add the gradients of one piece of the image, of which `amplitude` has `margin` pixels more on all sides.
+
+    `place` is the first row and column of the piece in `gx` and `gy`, and how many there are.
+    """
+    from featreg.sar.gradients import gabor_kernels
+
+    # The first sample is to lie at an even place of a spectrum that will be folded.
+    first = -(-margin // spacing)
+    top = left = spacing * first - margin
+    height, width = (fast_length(side + top) for side in amplitude.shape)
+    # A real transform would give half of the spectrum, and filling in the other half takes longer than computing it.
+    spectrum = np.zeros((height, width), np.complex64)
+    spectrum.real[top : top + amplitude.shape[0], left : left + amplitude.shape[1]] = amplitude
+    transform(spectrum)
+    # New memory costs as much as a transform, so all directions use the same.
+    means = np.empty((height // spacing, width // spacing), np.complex64)
+    bank = _filters if 4 * orientations * height * width <= KEPT else half_filters
+    for n, transfer in enumerate(bank(height, width, sigma, orientations)):
+        theta = math.pi * n / orientations
+        x, y = (np.float32(2 / orientations * f(theta)) for f in (math.cos, math.sin))
+        if spacing == 1:
+            np.multiply(spectrum, transfer, out=means)
+        else:
+            gabor_kernels.filter_folded(spectrum, transfer, means)
+        inverse_transform(means)
+        gabor_kernels.add_ratios(means, first, place, small, x, y, gx, gy)
+
+
+def _reach(sigma: float) -> int:
+    """Pixels to which a filter reaches."""
+    return math.ceil(REACH * sigma * max(1.0, LENGTH))
+
+
+def half_filters(height: int, width: int, sigma: float, orientations: int) -> F32:
+    """Return the (orientations, H, W) float32 real transfer functions of the filters' halves, divided by H * W.
+
+    Multiplying a spectrum by one and transforming back, without the usual division by the size, gives the half sum of
+    the two means as the real part, and the half difference, the side in direction theta minus the other, as the
+    imaginary part.
+    """
+    from scipy import fft
+
+    reach = _reach(sigma)
+    grid = np.arange(-reach, reach + 1)
+    x, up = np.meshgrid(grid, -grid)
+    out = np.empty((orientations, height, width), np.float32)
+    for n in range(orientations):
+        theta = math.pi * n / orientations
+        u = x * math.cos(theta) + up * math.sin(theta)
+        v = -x * math.sin(theta) + up * math.cos(theta)
+        envelope = np.exp(-0.5 * (u**2 + (v / LENGTH) ** 2) / sigma**2)
+        positive = np.maximum(envelope * np.sin(2 * math.pi * u / (WAVELENGTH * sigma)), 0)
+        positive /= positive.sum()
+        # Convolution looks the other way: the half that reads the pixels in direction theta is the mirrored one.
+        kernel = np.zeros((height, width))
+        np.add.at(kernel, np.ix_(grid % height, grid % width), positive[::-1, ::-1])
+        spectrum = fft.fft2(kernel)
+        # mean = even part, difference = odd part, whose transfer function is i * imaginary; packed: E + i * (i * O).
+        out[n] = (spectrum.real - spectrum.imag) / (height * width)
+    out.flags.writeable = False
+    return out
+
+
+# A pyramid of four scales takes two or three sizes for each, and images differ in size.
+_filters = lru_cache(maxsize=16)(half_filters)

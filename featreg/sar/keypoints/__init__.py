@@ -1,0 +1,1 @@
+"""Corners, maxima, and what is counted around them."""

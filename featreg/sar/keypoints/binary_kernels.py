@@ -1,0 +1,124 @@
+"""Compiled loops of binary descriptors: point-pair tests and Hamming distances by population count."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from featreg.runtime.jit import compiled, inlined
+
+U64 = NDArray[np.uint64]
+I64 = NDArray[np.int64]
+
+
+@compiled
+def compare_pairs(image: NDArray[np.uint8], xs: I64, ys: I64, table: NDArray[np.int8], turns: I64, bits: U64) -> None:
+    """Set bit b of point i where the first sample of pair b is darker than the second.
+
+    `table` (T, B, 4) holds the (x1, y1, x2, y2) offsets of the pairs for each turn, `turns` (N,) the turn of each
+    point; samples must lie inside the image.
+    """
+    width = image.shape[1]
+    flat = image.ravel()
+    count = table.shape[1]
+    first = np.zeros((table.shape[0], count), np.int64)
+    second = np.zeros((table.shape[0], count), np.int64)
+    known = np.zeros(table.shape[0], np.bool_)
+    for i in range(xs.shape[0]):
+        turn = turns[i]
+        if not known[turn]:
+            known[turn] = True
+            for b in range(count):
+                first[turn, b] = table[turn, b, 0] + width * np.int64(table[turn, b, 1])
+                second[turn, b] = table[turn, b, 2] + width * np.int64(table[turn, b, 3])
+        one, two = first[turn], second[turn]
+        at = ys[i] * width + xs[i]
+        for word in range(count // 64):
+            value = np.uint64(0)
+            for b in range(64):
+                k = word * 64 + b
+                darker = flat[np.uint64(at + one[k])] < flat[np.uint64(at + two[k])]
+                value |= np.uint64(darker) << np.uint64(b)
+            bits[i, word] = value
+
+
+@inlined
+def _ones(x: np.uint64) -> np.uint64:
+    """Number of set bits, in the form that compilers turn into one instruction."""
+    x = x - ((x >> np.uint64(1)) & np.uint64(0x5555555555555555))
+    x = (x & np.uint64(0x3333333333333333)) + ((x >> np.uint64(2)) & np.uint64(0x3333333333333333))
+    x = (x + (x >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
+    return (x * np.uint64(0x0101010101010101)) >> np.uint64(56)
+
+
+@compiled
+def _add_distances(a: U64, words: U64, start: int, distances: U64) -> None:
+    for j in range(distances.shape[0]):
+        distances[j] += _ones(a[start] ^ words[j])
+
+
+@compiled
+def _distances_four(a0: int, a1: int, a2: int, a3: int, b0: U64, b1: U64, b2: U64, b3: U64, out: U64) -> None:
+    for j in range(out.shape[0]):
+        out[j] = _ones(a0 ^ b0[j]) + _ones(a1 ^ b1[j]) + _ones(a2 ^ b2[j]) + _ones(a3 ^ b3[j])
+
+
+@compiled
+def _add_four(a0: int, a1: int, a2: int, a3: int, b0: U64, b1: U64, b2: U64, b3: U64, out: U64) -> None:
+    for j in range(out.shape[0]):
+        out[j] += _ones(a0 ^ b0[j]) + _ones(a1 ^ b1[j]) + _ones(a2 ^ b2[j]) + _ones(a3 ^ b3[j])
+
+
+@compiled
+def _keep_best(distances: U64, i: int, base: int, columns: U64) -> np.uint64:
+    """Smallest (distance, column) of a row as one number, and the running smallest (distance, row) of each column."""
+    best = np.uint64(0xFFFFFFFFFFFFFFFF)
+    for j in range(distances.shape[0]):
+        key = distances[j] << np.uint64(32)
+        best = min(best, key | np.uint64(base + j))
+        columns[j] = min(columns[j], key | np.uint64(i))
+    return best
+
+
+@compiled
+def nearest_hamming(reference: U64, secondary: U64, block: int, rows: U64, columns: U64) -> None:
+    """Nearest neighbours both ways: rows[i] = distance << 32 | j, columns[j] = distance << 32 | i, ties by index.
+
+    `reference` is (N, W) words, `secondary` (W, M), W a multiple of four; `rows` and `columns` start at the largest
+    number. `block` columns are compared at a time, so that they stay in the first cache.
+    """
+    n, width = reference.shape
+    m = secondary.shape[1]
+    scratch = np.zeros(block, np.uint64)
+    for start in range(0, m, block):
+        stop = min(start + block, m)
+        distances = scratch[: stop - start]
+        for i in range(n):
+            a = reference[i]
+            b0, b1, b2, b3 = (
+                secondary[0, start:stop],
+                secondary[1, start:stop],
+                secondary[2, start:stop],
+                secondary[3, start:stop],
+            )
+            _distances_four(a[0], a[1], a[2], a[3], b0, b1, b2, b3, distances)
+            for k in range(4, width, 4):
+                b0, b1 = secondary[k, start:stop], secondary[k + 1, start:stop]
+                b2, b3 = secondary[k + 2, start:stop], secondary[k + 3, start:stop]
+                _add_four(a[k], a[k + 1], a[k + 2], a[k + 3], b0, b1, b2, b3, distances)
+            best = _keep_best(distances, i, start, columns[start:stop])
+            rows[i] = min(rows[i], best)
+
+
+@compiled
+def second_best(reference: U64, secondary: U64, taken: NDArray[np.int64], out: NDArray[np.int64]) -> None:
+    """Smallest distance of each reference row to any secondary column but the `taken` one."""
+    n, width = reference.shape
+    m = secondary.shape[1]
+    distances = np.zeros(m, np.uint64)
+    for i in range(n):
+        distances[:] = 0
+        for k in range(width):
+            _add_distances(reference[i], secondary[k], k, distances)
+        distances[taken[i]] = np.uint64(1) << np.uint64(40)
+        out[i] = np.int64(distances.min())

@@ -1,0 +1,267 @@
+"""Compiled loops of corner detection: the FAST segment test, intensity centroids, sub-pixel positions."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from featreg.runtime.jit import compiled
+
+U8 = NDArray[np.uint8]
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+
+@compiled
+def _segment_scores(r0: U8, r1: U8, r2: U8, r3: U8, r4: U8, r5: U8, r6: U8, threshold: np.uint8, score: U8) -> None:
+    """FAST-9/16 scores of one row, given the seven rows around it: 64 pixels at once, without a branch.
+
+    Eight contiguous points p[k]..p[k+7], k odd, are shared by the two arcs of nine that add p[k-1] or p[k+8]; the
+    smallest of the better arc is min(eight, max of the two). The largest over all arcs, less the centre, is the score
+    of a brighter ring; with min and max exchanged, that of a darker one. The indices are unsigned, since a negative
+    one would mean "from the end", which keeps the compiler from vectorising.
+    """
+    for column in range(r3.shape[0] - 6):
+        x0 = np.uint64(column)
+        x1, x2, x3 = x0 + np.uint64(1), x0 + np.uint64(2), x0 + np.uint64(3)
+        x4, x5, x6 = x0 + np.uint64(4), x0 + np.uint64(5), x0 + np.uint64(6)
+        p0, p1, p2, p3 = r0[x3], r0[x4], r1[x5], r2[x6]
+        p4, p5, p6, p7 = r3[x6], r4[x6], r5[x5], r6[x4]
+        p8, p9, p10, p11 = r6[x3], r6[x2], r5[x1], r4[x0]
+        p12, p13, p14, p15 = r3[x0], r2[x0], r1[x1], r0[x2]
+        a1, a3, a5, a7 = min(p1, p2), min(p3, p4), min(p5, p6), min(p7, p8)
+        a9, a11, a13, a15 = min(p9, p10), min(p11, p12), min(p13, p14), min(p15, p0)
+        aa1, aa3, aa5, aa7 = min(a1, a3), min(a3, a5), min(a5, a7), min(a7, a9)
+        aa9, aa11, aa13, aa15 = min(a9, a11), min(a11, a13), min(a13, a15), min(a15, a1)
+        a1 = min(aa1, aa5, max(p0, p9))
+        a3 = min(aa3, aa7, max(p2, p11))
+        a5 = min(aa5, aa9, max(p4, p13))
+        a7 = min(aa7, aa11, max(p6, p15))
+        a9 = min(aa9, aa13, max(p8, p1))
+        a11 = min(aa11, aa15, max(p10, p3))
+        a13 = min(aa13, aa1, max(p12, p5))
+        a15 = min(aa15, aa3, max(p14, p7))
+        bright = max(a1, a3, a5, a7, a9, a11, a13, a15)
+        b1, b3, b5, b7 = max(p1, p2), max(p3, p4), max(p5, p6), max(p7, p8)
+        b9, b11, b13, b15 = max(p9, p10), max(p11, p12), max(p13, p14), max(p15, p0)
+        bb1, bb3, bb5, bb7 = max(b1, b3), max(b3, b5), max(b5, b7), max(b7, b9)
+        bb9, bb11, bb13, bb15 = max(b9, b11), max(b11, b13), max(b13, b15), max(b15, b1)
+        b1 = max(bb1, bb5, min(p0, p9))
+        b3 = max(bb3, bb7, min(p2, p11))
+        b5 = max(bb5, bb9, min(p4, p13))
+        b7 = max(bb7, bb11, min(p6, p15))
+        b9 = max(bb9, bb13, min(p8, p1))
+        b11 = max(bb11, bb15, min(p10, p3))
+        b13 = max(bb13, bb1, min(p12, p5))
+        b15 = max(bb15, bb3, min(p14, p7))
+        dark = min(b1, b3, b5, b7, b9, b11, b13, b15)
+        centre = r3[x3]
+        above = np.uint8(bright - centre) if bright > centre else np.uint8(0)
+        below = np.uint8(centre - dark) if centre > dark else np.uint8(0)
+        best = max(above, below)
+        score[x3] = best if best > threshold else np.uint8(0)
+
+
+@compiled
+def fast_scores(image: U8, threshold: int, first: int, step: int, score: U8) -> None:
+    """Write the FAST-9/16 score of every pixel of rows first, first + step, ... into `score`.
+
+    The score is the smallest difference along the best arc of nine points of the circle of radius 3, one more than
+    OpenCV's response; it is 0 unless above `threshold`. Rows and columns closer than 3 to the border are left alone.
+    """
+    t = np.uint8(threshold)
+    for y in range(max(first, 3), image.shape[0] - 3, step):
+        a, b, c, d = image[y - 3], image[y - 2], image[y - 1], image[y]
+        e, f, g = image[y + 1], image[y + 2], image[y + 3]
+        _segment_scores(a, b, c, d, e, f, g, t, score[y])
+
+
+@compiled
+def score_of_rank(score: U8, rank: int) -> int:
+    """The score that about `rank` pixels reach, estimated from every eighth row."""
+    counts = np.zeros(256, np.int64)
+    for y in range(3, score.shape[0], 8):
+        row = score[y]
+        for x in range(row.shape[0]):
+            counts[row[x]] += 8
+    reached = 0
+    for s in range(255, 0, -1):
+        reached += counts[s]
+        if reached >= rank:
+            return s
+    return 0
+
+
+@compiled
+def _peaks_of_row(above: U8, here: U8, below: U8, allowed: U8, least: np.uint8, peaks: U8) -> None:
+    """Keep a score that is the largest of its 3 x 3 neighbourhood (ties: the first in reading order), else 0."""
+    for column in range(here.shape[0] - 2):
+        x0 = np.uint64(column)
+        x1, x2 = x0 + np.uint64(1), x0 + np.uint64(2)
+        s = here[x1]
+        before = max(above[x0], above[x1], above[x2], here[x0])
+        after = max(below[x0], below[x1], below[x2], here[x2])
+        peaks[x1] = s if (s > before) & (s >= after) & (s >= least) & (allowed[x1] != 0) else np.uint8(0)
+
+
+@compiled
+def collect_maxima(score: U8, allowed: U8, least: int, at: I64, values: U8) -> int:
+    """Gather flat index and score of the maxima from `least` on where `allowed`, in reading order; return how many.
+
+    Pixels are skipped eight at a time where nothing stands.
+    """
+    height, width = score.shape
+    peaks = np.zeros((width + 7) // 8 * 8, np.uint8)
+    eights = peaks.view(np.uint64)
+    count = 0
+    for y in range(1, height - 1):
+        _peaks_of_row(score[y - 1], score[y], score[y + 1], allowed[y], np.uint8(least), peaks[:width])
+        for k in range(eights.shape[0]):
+            if eights[k] == 0:
+                continue
+            for x in range(8 * k, 8 * k + 8):
+                if peaks[x] != 0 and count < at.shape[0]:
+                    at[count] = y * width + x
+                    values[count] = peaks[x]
+                    count += 1
+    return count
+
+
+@compiled
+def intensity_centroid(image: F32, xs: I64, ys: I64, radius: int, stride: int, angle: F64) -> None:
+    """Angle from each point to the intensity centroid of the disc around it, counter-clockwise as seen (y up)."""
+    height, width = image.shape
+    for i in range(xs.shape[0]):
+        x0 = xs[i]
+        y0 = ys[i]
+        mx = 0.0
+        my = 0.0
+        for dy in range(-(radius // stride) * stride, radius + 1, stride):
+            y = min(max(y0 + dy, 0), height - 1)
+            row = image[y]
+            for dx in range(-(radius // stride) * stride, radius + 1, stride):
+                if dx * dx + dy * dy <= radius * radius:
+                    v = row[min(max(x0 + dx, 0), width - 1)]
+                    mx += dx * v
+                    my += dy * v
+        angle[i] = np.arctan2(-my, mx)
+
+
+@compiled
+def edge_centroid(edge: U8, xy: F64, sigma: float, iterations: int, reach: float, moved: F64, good: U8) -> None:
+    """Mean shift of each point to the Gaussian-weighted 7 x 7 centroid of the edge strength around it.
+
+    A point darker than its surround (the still centre of a bright scatterer) goes to the centroid of the darkness.
+    `good` is 0 where the point would leave the circle of radius `reach` around its start, and it stays there.
+    """
+    height, width = edge.shape
+    fall = -0.5 / (sigma * sigma)
+    patch = np.zeros((7, 7))
+    wx, wy, bell = np.zeros(7), np.zeros(7), np.zeros(7)
+    for k in range(7):
+        bell[k] = np.exp(fall * (k - 3) ** 2)
+    for i in range(xy.shape[0]):
+        x0, y0 = xy[i, 0], xy[i, 1]
+        qx, qy = x0, y0
+        good[i] = 1
+        cx0, cy0 = int(np.rint(x0)), int(np.rint(y0))
+        ring = 0.0
+        for k in range(-3, 4):
+            ring += float(edge[cy0 - 3, cx0 + k]) + float(edge[cy0 + 3, cx0 + k])
+            if -3 < k < 3:
+                ring += float(edge[cy0 + k, cx0 - 3]) + float(edge[cy0 + k, cx0 + 3])
+        dark = float(edge[cy0, cx0]) < ring / 24.0
+        held_x, held_y = -1, -1
+        for _ in range(iterations):
+            cx, cy = int(np.rint(qx)), int(np.rint(qy))
+            if cx < 3 or cy < 3 or cx >= width - 3 or cy >= height - 3:
+                good[i] = 0
+                break
+            if cx != held_x or cy != held_y:
+                held_x, held_y = cx, cy
+                low, high = 255.0, 0.0
+                for r in range(7):
+                    for c in range(7):
+                        v = float(edge[cy + r - 3, cx + c - 3])
+                        patch[r, c] = v
+                        low = min(low, v)
+                        high = max(high, v)
+                for r in range(7):
+                    for c in range(7):
+                        patch[r, c] = high - patch[r, c] if dark else patch[r, c] - low
+            # exp(f (k - d)^2) up to a common factor, which the quotient below cancels: exp(f k^2) exp(-2 f d)^k.
+            along_x, along_y = np.exp(-2 * fall * (qx - cx)), np.exp(-2 * fall * (qy - cy))
+            wx[3] = wy[3] = 1.0
+            for k in range(1, 4):
+                wx[3 + k], wx[3 - k] = wx[2 + k] * along_x, wx[4 - k] / along_x
+                wy[3 + k], wy[3 - k] = wy[2 + k] * along_y, wy[4 - k] / along_y
+            for k in range(7):
+                wx[k] *= bell[k]
+                wy[k] *= bell[k]
+            total, sx, sy = 0.0, 0.0, 0.0
+            for r in range(7):
+                row, moment = 0.0, 0.0
+                for c in range(7):
+                    v = patch[r, c] * wx[c]
+                    row += v
+                    moment += v * (c - 3)
+                total += row * wy[r]
+                sx += moment * wy[r]
+                sy += row * wy[r] * (r - 3)
+            if total <= 0.0:
+                good[i] = 0
+                break
+            nx, ny = cx + sx / total, cy + sy / total
+            if (nx - x0) ** 2 + (ny - y0) ** 2 > reach * reach:
+                good[i] = 0
+                break
+            step = abs(nx - qx) + abs(ny - qy)
+            qx, qy = nx, ny
+            if step < 1e-2:
+                break
+        moved[i, 0] = qx if good[i] else x0
+        moved[i, 1] = qy if good[i] else y0
+
+
+@compiled
+def corner_intersection(
+    gx: F32, gy: F32, xy: F64, sigma: float, iterations: int, reach: float, moved: F64, good: U8
+) -> None:
+    """Eq. 6 and 7: the point to which the gradients of the 7 x 7 neighbourhood are perpendicular, iterated.
+
+    `good` is 0 where the equations are singular or the corner runs farther than `reach`; the point then stays.
+    """
+    height, width = gx.shape
+    fall = -0.5 / (sigma * sigma)
+    for i in range(xy.shape[0]):
+        x0, y0 = xy[i, 0], xy[i, 1]
+        qx, qy = x0, y0
+        good[i] = 1
+        for _ in range(iterations):
+            cx, cy = int(np.rint(qx)), int(np.rint(qy))
+            if cx < 3 or cy < 3 or cx >= width - 3 or cy >= height - 3:
+                good[i] = 0
+                break
+            a, b, c, u, v = 0.0, 0.0, 0.0, 0.0, 0.0
+            for r in range(-3, 4):
+                for s in range(-3, 4):
+                    dx, dy = cx + s - qx, cy + r - qy
+                    w = np.exp(fall * (dx * dx + dy * dy))
+                    g, h = float(gx[cy + r, cx + s]), float(gy[cy + r, cx + s])
+                    a += w * g * g
+                    b += w * g * h
+                    c += w * h * h
+                    u += w * (g * g * dx + g * h * dy)
+                    v += w * (g * h * dx + h * h * dy)
+            determinant = a * c - b * b
+            if determinant <= 1e-6 * (a + c) * (a + c) or determinant <= 0.0:
+                good[i] = 0
+                break
+            qx += (c * u - b * v) / determinant
+            qy += (a * v - b * u) / determinant
+            if (qx - x0) ** 2 + (qy - y0) ** 2 > reach * reach:
+                good[i] = 0
+                break
+        moved[i, 0] = qx if good[i] else x0
+        moved[i, 1] = qy if good[i] else y0

@@ -1,0 +1,96 @@
+"""Corners of a map: FAST corners, their orientation, and two ways to a sub-pixel position.
+
+References
+----------
+E. Rosten, T. Drummond, "Machine learning for high-speed corner detection", ECCV 2006, DOI 10.1007/11744023_34.
+E. Rublee et al., "ORB: an efficient alternative to SIFT or SURF", ICCV 2011, DOI 10.1109/ICCV.2011.6126544.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from featreg.sar.pyramid import REACH
+from featreg.types import BoolArray, FloatArray, IntArray
+
+CENTROID_ITERATIONS = 8
+CORNER_ITERATIONS = 3
+# So many pixels of high score are looked at for each corner wanted, before all are.
+RANKS = 10
+
+
+def fast_corners(
+    image: NDArray[np.uint8], threshold: int, allowed: BoolArray, most: int
+) -> tuple[IntArray, NDArray[np.uint8]]:
+    """Return the FAST-9/16 corners of a map, local maxima of their score.
+
+    Parameters
+    ----------
+    image : (H, W) uint8
+    threshold : least difference between the centre and nine contiguous points of the circle of radius 3, 0 to 254
+    allowed : (H, W) bool, where a corner may lie
+    most : how many to return at most
+
+    Returns
+    -------
+    xy : (N, 2) int64 pixels, best score first, equal scores in reading order
+    score : (N,) uint8, the smallest difference along the best arc
+    """
+    from featreg.sar.keypoints import corner_kernels
+
+    score = np.zeros(image.shape, np.uint8)
+    corner_kernels.fast_scores(np.ascontiguousarray(image), threshold, 3, 1, score)
+    room = image.size // 4 + 1
+    at, values = np.empty(room, np.int64), np.empty(room, np.uint8)
+    least = corner_kernels.score_of_rank(score, RANKS * most)
+    count = corner_kernels.collect_maxima(score, allowed.view(np.uint8), least, at, values)
+    if count < most and least > 0:
+        count = corner_kernels.collect_maxima(score, allowed.view(np.uint8), 0, at, values)
+    order = np.argsort(255 - values[:count], kind="stable")[:most]
+    y, x = np.divmod(at[order], image.shape[1])
+    return np.column_stack([x, y]), values[order]
+
+
+def orientation(image: NDArray[np.float32], xy: IntArray, radius: int) -> FloatArray:
+    """Return the (N,) angle from each point to the intensity centroid of the disc of `radius` pixels around it.
+
+    Radians, counter-clockwise as seen. Every third pixel of the disc along x and y is used.
+    """
+    from featreg.sar.keypoints import corner_kernels
+
+    angle = np.zeros(len(xy))
+    xs, ys = np.ascontiguousarray(xy.T)
+    corner_kernels.intensity_centroid(image, xs, ys, radius, 3, angle)
+    return angle
+
+
+def refine_centroid(edges: NDArray[np.uint8], xy: IntArray, sigma: float) -> tuple[FloatArray, BoolArray]:
+    """Return (N, 2) sub-pixel positions, the iterated 7 x 7 centroid of the edge strength, and (N,) bool where found.
+
+    The weight is a Gaussian of `sigma` pixels. A point that would move farther than 2 pixels stays at its pixel and is
+    marked False.
+    """
+    from featreg.sar.keypoints import corner_kernels
+
+    moved = np.empty((len(xy), 2))
+    good = np.empty(len(xy), np.uint8)
+    corner_kernels.edge_centroid(edges, xy.astype(np.float64), sigma, CENTROID_ITERATIONS, REACH, moved, good)
+    return moved, good.astype(np.bool_)
+
+
+def refine_corner(
+    gx: NDArray[np.float32], gy: NDArray[np.float32], xy: IntArray, sigma: float
+) -> tuple[FloatArray, BoolArray]:
+    """Return (N, 2) sub-pixel positions by Eq. 6 and 7 of Wang et al. 2022, iterated, and (N,) bool: where they hold.
+
+    `gx`, `gy` are (H, W) gradients; the weight is a Gaussian of `sigma` pixels on 7 x 7. A point that would move
+    farther than 2 pixels, or whose equations are singular, stays at its pixel and is marked
+    False.
+    """
+    from featreg.sar.keypoints import corner_kernels
+
+    moved = np.empty((len(xy), 2))
+    good = np.empty(len(xy), np.uint8)
+    corner_kernels.corner_intersection(gx, gy, xy.astype(np.float64), sigma, CORNER_ITERATIONS, REACH, moved, good)
+    return moved, good.astype(np.bool_)

@@ -1,0 +1,263 @@
+"""How gradient directions are distributed around keypoints: dominant orientation, GLOH-like log-polar descriptors.
+
+References
+----------
+D. Lowe, "Distinctive image features from scale-invariant keypoints", IJCV 60 (2004) 91,
+DOI 10.1023/B:VISI.0000029664.99615.94. K. Mikolajczyk, C. Schmid, "A performance evaluation of local descriptors",
+IEEE TPAMI 27 (2005) 1615, DOI 10.1109/TPAMI.2005.188 (GLOH).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from featreg.sar.gradients.gradient_field import GradientField
+from featreg.types import Features, FloatArray, Image
+
+F32 = NDArray[np.float32]
+I64 = NDArray[np.int64]
+
+#: Directions of a descriptor's histograms, and of the histogram from which the dominant orientation is read.
+DIRECTIONS = 8
+HARMONICS = DIRECTIONS // 2
+ORIENTATIONS = 36
+SECTORS = 8
+CELLS = 1 + 2 * SECTORS
+LENGTH = CELLS * DIRECTIONS
+#: Outer radii of the central disc and the inner ring, relative to that of the descriptor.
+DISC, RING = 0.25, 0.73
+# Pieces of equal weight into which the patterns are cut.
+DISC_RINGS, PIECE_RINGS = 8, 8
+# Points whose samples are held at a time, at most.
+BLOCK = 64
+# Multiplications of one matrix product, at most: so many OpenBLAS does on one thread. Waking others costs more than
+# they save, and many times as much on a busy machine.
+PRODUCT = 1 << 18
+# No component of a unit histogram may exceed the first (Lowe), no cell of unit harmonics the second: a few strong edges
+# must not decide alone.
+CLIP, CELL_CLIP = 0.2, 0.3
+
+
+def dominant_orientation(field: GradientField, xy: FloatArray, radius: FloatArray, step: float = 0.14) -> FloatArray:
+    """Return the (N,) direction in radians around which the gradients near each point gather.
+
+    Parameters
+    ----------
+    field : the gradients
+    xy : (N, 2) points in pixels of the field
+    radius : (N,) of the discs in pixels of the field; weights fall as a Gaussian of half the radius
+    step : distance of the samples relative to the radius
+
+    Notes
+    -----
+    Lowe's histogram of 36 directions weighted by magnitude, smoothed, its highest peak refined by a parabola.
+    Secondary peaks make no points of their own.
+    """
+    from featreg.sar.keypoints import histogram_kernels
+
+    histograms = _pooled(field, xy, radius, np.zeros(len(xy)), _disc(step), ORIENTATIONS)
+    angle = np.empty(len(xy))
+    histogram_kernels.peak_direction(histograms, angle)
+    return angle
+
+
+def gloh(
+    field: GradientField,
+    xy: FloatArray,
+    radius: FloatArray,
+    angle: FloatArray,
+    harmonics: int = 2,
+    step: float = 0.125,
+    soft: bool = True,
+) -> F32:
+    """Return how gradients are directed in the cells around each point, not normalised.
+
+    Parameters
+    ----------
+    field : the gradients
+    xy : (N, 2) points in pixels of the field
+    radius : (N,) of the descriptors in pixels of the field
+    angle : (N,) radians; cells and directions are relative to it
+    harmonics : Fourier harmonics of the directions of a cell, 0 to 3; 4 gives histograms of eight directions instead
+    step : distance of the samples relative to the radius
+    soft : share each sample between neighbouring cells instead of giving it to one
+
+    Returns
+    -------
+    (N, 17 * (1 + 2 * harmonics)) float32
+        For each cell the sum of the gradients' lengths, and their cosine and sine of each harmonic, cells running
+        fastest; with 4 harmonics (N, 136), the cells of each of eight directions in turn.
+
+    Notes
+    -----
+    A central disc and two rings of eight sectors (radii 0.25, 0.73 and 1): GLOH's 17 cells. Samples lie on a square
+    grid that turns with the point and read the nearest pixel of the field; what lies outside the field counts as no
+    gradient. Harmonics are weighted as in a histogram in which a direction is shared by the two nearest of eight bins:
+    distances are those of such histograms without their finest detail, which is mostly speckle.
+    """
+    pattern = _log_polar(step, soft)
+    if harmonics >= HARMONICS:
+        return _pooled(field, xy, radius, angle, pattern, DIRECTIONS)
+    return _harmonics(field, xy, radius, angle, pattern, harmonics)
+
+
+def row_length(harmonics: int) -> int:
+    """Numbers of `gloh` for one point."""
+    return LENGTH if harmonics >= HARMONICS else CELLS * (1 + 2 * harmonics)
+
+
+def normalised(rows: F32, root: bool = False) -> F32:
+    """Return rows of `gloh` as unit vectors in which no edge decides alone; empty ones stay 0.
+
+    Components of histograms are clipped at 0.2, cells of harmonics at a length of 0.3, and the rows brought to unit
+    length again. `root` instead takes the root of each component's share (R. Arandjelovic, A. Zisserman, CVPR 2012,
+    DOI 10.1109/CVPR.2012.6248018), or of each cell's, which makes the Euclidean distance one of distributions.
+    """
+    if rows.shape[1] == LENGTH:
+        if root:
+            total = rows.sum(axis=1, keepdims=True)
+            return np.asarray(np.sqrt(rows / np.where(total > 0, total, 1)), np.float32)
+        return _unit(np.minimum(_unit(rows), np.float32(CLIP)))
+    cells = _unit(rows).reshape(len(rows), rows.shape[1] // CELLS, CELLS)
+    if root:
+        length = cells[:, 0]
+        return _unit(rows * np.tile(1 / np.sqrt(np.where(length > 0, length, 1)), cells.shape[1]))
+    length = np.sqrt(np.einsum("npc,npc->nc", cells, cells))
+    return _unit((cells * (CELL_CLIP / np.maximum(length, CELL_CLIP))[:, None]).reshape(rows.shape))
+
+
+def described(image: Image, features: Features, descriptors: F32) -> Features:
+    """Return the features with (N, D) unit descriptors, less those outside the valid pixels or without any gradient."""
+    x, y = np.rint(features.xy).astype(np.int64).T
+    height, width = image.shape
+    kept = (x >= 0) & (y >= 0) & (x < width) & (y < height) & descriptors.any(axis=1)
+    kept[kept] = image.mask[y[kept], x[kept]]
+    index = np.flatnonzero(kept)
+    return replace(features.take(index), descriptors=descriptors[index], norm="l2", index=index)
+
+
+def _unit(rows: F32) -> F32:
+    length = np.sqrt(np.einsum("ij,ij->i", rows, rows))
+    return np.asarray(rows / np.where(length > 0, length, 1)[:, None], np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class _Pattern:
+    """`samples` (2, S) in the unit disc, the `piece` (S,) each belongs to, `shares` (P, cells) of pieces in cells."""
+
+    samples: F32
+    piece: I64
+    shares: F32
+
+
+def _pooled(
+    field: GradientField, xy: FloatArray, radius: FloatArray, angle: FloatArray, pattern: _Pattern, bins: int
+) -> F32:
+    """(N, bins * cells): samples go to small pieces first, where each costs two additions, and pieces to cells."""
+    from featreg.sar.keypoints import histogram_kernels
+
+    height, width = field.x.shape
+    magnitude, direction = (np.ascontiguousarray(part).ravel() for part in field.polar)
+    pieces, cells = pattern.shares.shape
+    out = np.empty((len(xy), bins * cells), np.float32)
+    xy, radius, angle = (np.ascontiguousarray(values, np.float64) for values in (xy, radius, angle))
+    count = _points_at_once(bins * pattern.shares.size)
+    for start in range(0, len(xy), count):
+        rows = slice(start, start + count)
+        points = xy[rows], radius[rows], angle[rows]
+        small = np.zeros((len(points[0]), bins, pieces), np.float32)
+        histogram_kernels.pool(magnitude, direction, width, height, *points, pattern.samples, pattern.piece, small)
+        out[rows] = _product(small.reshape(-1, pieces), pattern.shares).reshape(-1, bins * cells)
+    return out
+
+
+def _harmonics(
+    field: GradientField, xy: FloatArray, radius: FloatArray, angle: FloatArray, pattern: _Pattern, count: int
+) -> F32:
+    """(N, (1 + 2 * count) * cells): the harmonics of every sample, then one product with the samples' shares."""
+    from featreg.sar.keypoints import histogram_kernels
+
+    height, width = field.x.shape
+    gx, gy = (np.ascontiguousarray(part).ravel() for part in (field.x, field.y))
+    shares = pattern.shares[pattern.piece]
+    samples, cells = shares.shape
+    out = np.empty((len(xy), 1 + 2 * count, cells), np.float32)
+    xy, radius, angle = (np.ascontiguousarray(values, np.float64) for values in (xy, radius, angle))
+    block = np.empty((_points_at_once(out.shape[1] * shares.size), out.shape[1], samples), np.float32)
+    for start in range(0, len(xy), len(block)):
+        rows = slice(start, start + len(block))
+        points = xy[rows], radius[rows], angle[rows]
+        some = block[: len(points[0])]
+        histogram_kernels.sample_harmonics(gx, gy, width, height, *points, pattern.samples, some)
+        out[rows] = _product(some.reshape(-1, samples), shares).reshape(-1, *out.shape[1:])
+    k = np.arange(count + 1)
+    weight = np.sinc(k / DIRECTIONS) ** 2 * np.sqrt(np.where(k > 0, 2, 1) / DIRECTIONS)
+    out *= np.repeat(weight, 2)[1:, None].astype(np.float32)
+    return out.reshape(len(xy), out.shape[1] * cells)
+
+
+def _points_at_once(multiplications: int) -> int:
+    """So many points, each of which takes so many multiplications, go into one matrix product."""
+    return max(1, min(BLOCK, PRODUCT // multiplications))
+
+
+def _product(left: F32, right: F32) -> F32:
+    """The matrix product, the same to the bit on any number of threads."""
+    if min(len(left), right.shape[1]) == 1 or len(left) * right.size > PRODUCT:
+        return np.asarray(np.einsum("ij,jk->ik", left, right))
+    return np.asarray(left @ right)
+
+
+@lru_cache(maxsize=16)
+def _disc(step: float) -> _Pattern:
+    """Samples of one cell, in rings whose weights fall as a Gaussian of half the radius."""
+    samples = _grid(step)
+    rho = np.hypot(*samples.astype(np.float64))
+    piece = np.minimum((rho * DISC_RINGS).astype(np.int64), DISC_RINGS - 1)
+    middle = (np.arange(DISC_RINGS) + 0.5) / DISC_RINGS
+    return _Pattern(samples, piece, np.exp(-2.0 * middle**2).astype(np.float32)[:, None])
+
+
+@lru_cache(maxsize=16)
+def _log_polar(step: float, soft: bool) -> _Pattern:
+    """Cell 0 is the disc; 1 to 8 are the sectors of the inner ring, 9 to 16 those of the outer one.
+
+    The first sector is centred on the point's direction, the others follow counter-clockwise. With `soft` a sample is
+    shared between the two nearest rings and sectors, as far as pieces of 1/8 of the radius and 1/16 of a turn allow.
+    """
+    samples = _grid(step)
+    rho = np.hypot(*samples.astype(np.float64))
+    place = np.arctan2(samples[1], samples[0]).astype(np.float64) * (SECTORS / (2 * math.pi))
+    if not soft:
+        outward = np.searchsorted([DISC, RING], rho)
+        piece = np.where(outward == 0, 0, 1 + (outward - 1) * SECTORS + np.rint(place).astype(np.int64) % SECTORS)
+        return _Pattern(samples, piece, np.eye(CELLS, dtype=np.float32))
+    out = np.minimum((rho * PIECE_RINGS).astype(np.int64), PIECE_RINGS - 1)
+    piece = out * 2 * SECTORS + np.floor(2 * place).astype(np.int64) % (2 * SECTORS)
+    ring, sector = np.divmod(np.arange(PIECE_RINGS * 2 * SECTORS), 2 * SECTORS)
+    rho, place = (ring + 0.5) / PIECE_RINGS, (sector + 0.5) / 2
+    between: FloatArray = np.interp(rho, [0.0, (DISC + RING) / 2, (RING + 1) / 2], [0.0, 1.0, 2.0])
+    inner = np.minimum(np.floor(between), 1).astype(np.int64)
+    beyond = between - inner
+    first = np.floor(place).astype(np.int64)
+    onward = place - first
+    shares = np.zeros((len(rho), CELLS), np.float32)
+    pieces = np.arange(len(rho))
+    for nearest, ring_share in ((inner, 1 - beyond), (inner + 1, beyond)):
+        for beside, sector_share in ((first, 1 - onward), (first + 1, onward)):
+            cell = np.where(nearest == 0, 0, 1 + (nearest - 1) * SECTORS + beside % SECTORS)
+            np.add.at(shares, (pieces, cell), ring_share * sector_share)
+    return _Pattern(samples, piece, shares)
+
+
+def _grid(step: float) -> F32:
+    """A square grid of samples inside the unit disc, symmetric about its centre: (2, S)."""
+    steps = np.arange(-math.floor(1 / step), math.floor(1 / step) + 1) * step
+    u, v = np.meshgrid(steps, steps)
+    inside = u * u + v * v <= 1
+    return np.stack([u[inside], v[inside]]).astype(np.float32)

@@ -1,0 +1,77 @@
+"""Local maxima of a response map, and where they lie between the pixels and between the scales."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from featreg.types import BoolArray, FloatArray, IntArray
+
+F32 = NDArray[np.float32]
+
+
+def local_maxima(response: F32, allowed: BoolArray, threshold: float, most: int) -> IntArray:
+    """Return the (N, 2) pixels (x, y) of the local maxima of a map, the highest first, equal ones in reading order.
+
+    Parameters
+    ----------
+    response : (H, W) float32
+    allowed : (H, W) bool, where a maximum may lie; the outermost rows and columns never count
+    threshold : a maximum must exceed it
+    most : how many to return at most
+
+    Notes
+    -----
+    A pixel counts where it is the highest of its 3 x 3 neighbourhood; of equal ones the first in reading order does.
+    """
+    from featreg.sar.keypoints import harris_kernels
+
+    room = np.empty(response.size // 4 + 1, np.int64)
+    flat = room[: harris_kernels.collect_peaks(response, allowed.view(np.uint8), np.float32(threshold), room)]
+    value = -response.ravel()[flat]
+    if len(flat) > most:
+        near = value <= np.partition(value, most - 1)[most - 1]
+        flat, value = flat[near], value[near]
+    flat = flat[np.argsort(value, kind="stable")][:most]
+    y, x = np.divmod(flat, response.shape[1])
+    return np.column_stack([x, y]).astype(np.int64)
+
+
+def quadratic_peak(response: F32, at: IntArray) -> FloatArray:
+    """Return (N, 2) float64 positions of the maxima at (N, 2) inner pixels: those of quadratic surfaces.
+
+    The surface has the central differences of the 3 x 3 neighbourhood (Brown and Lowe, BMVC 2002). Where it has no
+    maximum, or one more than a pixel away, the pixel itself stays.
+    """
+    x, y = at.T
+    p = {(i, j): response[y + j, x + i].astype(np.float64) for i in (-1, 0, 1) for j in (-1, 0, 1)}
+    gx, gy = (p[1, 0] - p[-1, 0]) / 2, (p[0, 1] - p[0, -1]) / 2
+    xx, yy = p[1, 0] + p[-1, 0] - 2 * p[0, 0], p[0, 1] + p[0, -1] - 2 * p[0, 0]
+    xy = (p[1, 1] + p[-1, -1] - p[1, -1] - p[-1, 1]) / 4
+    determinant = xx * yy - xy * xy
+    curved = (determinant > 0) & (xx < 0)
+    safe = np.where(curved, determinant, 1)
+    step = np.column_stack([(xy * gy - yy * gx) / safe, (xy * gx - xx * gy) / safe])
+    good = curved & (np.abs(step) <= 1).all(axis=1)
+    return np.asarray(at + np.where(good[:, None], step, 0.0))
+
+
+def parabola_peak(before: FloatArray, here: FloatArray, after: FloatArray) -> FloatArray:
+    """Return the (N,) place, from -0.5 to 0.5, of the peak of the parabola through values at -1, 0 and 1.
+
+    0 where `here` is not the highest of the three.
+    """
+    curve = before + after - 2 * here
+    inside = (here >= before) & (here >= after) & (curve < 0)
+    return np.asarray(np.where(inside, 0.5 * (before - after) / np.where(inside, curve, 1), 0.0))
+
+
+def interpolated(response: F32, xy: FloatArray) -> FloatArray:
+    """Return the (N,) float64 bilinear values of a map at (N, 2) points; points outside take the border's value."""
+    height, width = response.shape
+    x, y = np.clip(xy[:, 0], 0, width - 1), np.clip(xy[:, 1], 0, height - 1)
+    left, top = np.minimum(x.astype(np.int64), width - 2), np.minimum(y.astype(np.int64), height - 2)
+    u, v = x - left, y - top
+    upper = response[top, left] * (1 - u) + response[top, left + 1] * u
+    lower = response[top + 1, left] * (1 - u) + response[top + 1, left + 1] * u
+    return np.asarray(upper * (1 - v) + lower * v, np.float64)

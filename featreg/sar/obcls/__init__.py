@@ -1,0 +1,1 @@
+"""Extended targets: found by CFAR, associated, located."""

@@ -1,0 +1,130 @@
+"""What one job of a comparison is, and the functions that run in its worker process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from featreg.errors import CancelledError
+from featreg.results.registration import Registration
+from featreg.runtime.threads import single_threaded
+from featreg.study.truth import Truth
+from featreg.types import FloatArray, Image
+
+#: Keywords of `match` that change neither the keypoints of an image nor how it is read.
+AFTER_DETECTION = ("seed", "model", "refine", "filters", "initial", "search_radius", "reference_mask", "secondary_mask")
+ROLES = ("reference", "secondary")
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """Two images, what they are called together, and where the points of one lie in the other."""
+
+    name: str
+    reference: Any
+    secondary: Any
+    truth: Truth | None = None
+
+
+@dataclass(frozen=True)
+class Job:
+    """One pair, one method (by its label), one seed."""
+
+    pair: int
+    method: str
+    seed: int
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What came of a job.
+
+    Parameters
+    ----------
+    result : a registration, or one line that says why there is none
+    act : stage -> seconds, measured in a serial pass; None where it was not
+    keypoints : (N, 2) of the reference and of the secondary, where a metric asked for them and the method has any
+    """
+
+    result: Registration | str
+    act: Mapping[str, float] | None = None
+    keypoints: tuple[FloatArray, FloatArray] | None = None
+
+
+@dataclass(frozen=True)
+class Method:
+    """A method with the keywords of `match` with which it is run.
+
+    `point` is its place in a grid of parameters, where there is one, and `base` its label without that.
+    """
+
+    label: str
+    keywords: Mapping[str, Any] = field(default_factory=dict)
+    point: Mapping[str, Any] = field(default_factory=dict)
+    base: str = ""
+
+    def with_seed(self, seed: int) -> dict[str, Any]:
+        """The keywords of one call."""
+        return {"seed": seed, **self.keywords}
+
+
+def load_methods() -> None:
+    """Import what every job needs, so that it does not count as the first job's time."""
+    import featreg.matching  # noqa: F401
+    from featreg.registry import available
+
+    available("detector")
+
+
+def predict(reference: Any, secondary: Any, keywords: Mapping[str, Any]) -> Registration | str:
+    """One registration, or one line that says why there is none."""
+
+    def run() -> Registration:
+        from featreg.matching import match
+
+        for image in (reference, secondary):
+            if isinstance(image, Image):
+                image.release()
+        with single_threaded():
+            made: Registration = match(reference, secondary, **keywords)
+            return made
+
+    return outcome(run)
+
+
+def outcome(call: Callable[[], Registration | str]) -> Registration | str:
+    """What `call` returns, or the first line of what it raises: one broken method must not end the comparison."""
+    try:
+        return call()
+    except CancelledError:
+        raise
+    except Exception as error:
+        line = (str(error).splitlines() or [""])[0]
+        return f"{type(error).__name__}: {line}" if line else type(error).__name__
+
+
+def detection(keywords: Mapping[str, Any], role: str) -> dict[str, Any]:
+    """The keywords that decide the keypoints of one image."""
+    kept = {key: value for key, value in keywords.items() if key not in AFTER_DETECTION}
+    mask = keywords.get(f"{role}_mask")
+    return kept if mask is None else {**kept, "mask": mask}
+
+
+def find_keypoints(image: Any, keywords: Mapping[str, Any]) -> FloatArray | None:
+    """(N, 2) keypoints of an image, at most the budget; None where the method has no detector.
+
+    `keywords` are those of `detection`.
+    """
+    from featreg.io import as_image
+    from featreg.pipeline.assembly import assemble
+    from featreg.pipeline.feature_matcher import FeatureMatcher
+
+    options = dict(keywords)
+    reading = {name: options.pop(name, None) for name in ("mask", "nodata", "scale")}
+    matcher = assemble(**options).matcher
+    if not isinstance(matcher, FeatureMatcher):
+        return None
+    with single_threaded():
+        found = matcher.detector.detect_features(as_image(image, **reading))
+    return found.best(matcher.n_features).xy

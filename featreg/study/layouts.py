@@ -1,0 +1,65 @@
+"""Tables as others have printed them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from featreg.errors import ParameterError, UnknownNameError
+from featreg.study.metrics import metric_of
+
+#: Layout -> column -> title, as in Tables 2 and 3 of the SAR-ORB paper. ACT is the time of one block.
+LAYOUTS: Mapping[str, Mapping[str, str]] = {
+    "table2": {
+        "pair": "Image pair", "method": "Method", "ncm": "NCM", "rmse": "RMSE", "time_s": "Computational time (s)",
+    },
+    "table3": {
+        "pair": "Image pair", "method": "Method", "blocks": "Blocks", "nm": "NM", "ncm": "NCM",
+        "precision": "Precision", "rmse": "RMSE", "act": "ACT (s)",
+    },
+}  # fmt: skip
+#: Metrics that a layout needs.
+NEEDS = {name: tuple(_needed) for name, _needed in {
+    "table2": ("ncm", "rmse", "time_s"), "table3": ("blocks", "nm", "ncm", "precision", "rmse", "time_s"),
+}.items()}  # fmt: skip
+
+
+def columns_of(
+    layout: str, columns: Sequence[str], rows: Sequence[Mapping[str, Any]]
+) -> tuple[dict[str, str], list[list[Mapping[str, Any]]]]:
+    """Column -> title, and the rows of a layout: the name of a pair stands in its first row only.
+
+    Raises
+    ------
+    ParameterError
+        The table lacks a metric that the layout shows.
+    """
+    missing = [name for name in NEEDS[layout] if name not in columns and name != "blocks"]
+    if missing:
+        raise ParameterError(f"layout '{layout}' needs the metrics {', '.join(NEEDS[layout])}; {missing[0]} is missing")
+    titles = dict(LAYOUTS[layout])
+    if "blocks" in titles and "blocks" not in columns:
+        del titles["blocks"]
+    if "seed" in columns:
+        titles = {"pair": titles.pop("pair"), "method": titles.pop("method"), "seed": "Seed", **titles}
+    shown: list[Mapping[str, Any]] = []
+    last = None
+    for row in sorted(rows, key=lambda row: [r["pair"] for r in rows].index(row["pair"])):
+        time_s, blocks = row["time_s"], row.get("blocks")
+        act = None if time_s is None else time_s / (blocks or 1)
+        shown.append({**row, "pair": "" if row["pair"] == last else row["pair"], "act": act})
+        last = row["pair"]
+    return titles, [shown]
+
+
+def best_of(row: Mapping[str, Any], name: str, rivals: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether a row has the best value of a column among its rivals, which must be more than one."""
+    try:
+        better = metric_of("time_s" if name == "act" else name).better
+    except (UnknownNameError, ParameterError):
+        return False
+    key = "time_s" if name == "act" else name
+    values = [other[key] for other in rivals if other["status"] != "failed" and other[key] is not None]
+    if not better or len(values) < 2 or row["status"] == "failed":
+        return False
+    return bool(row[key] == (max if better == "higher" else min)(values))

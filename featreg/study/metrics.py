@@ -1,0 +1,341 @@
+"""The metrics of a comparison: pure functions of one result and the truth, by name.
+
+Names may carry a number of pixels: ``mma@3``, ``success@1``, ``auc@5``, ``wrong@3``; and ``act.STAGE`` is the time of
+one stage. A metric that has no value (no truth, no model, no keypoints) is None.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from featreg.errors import ParameterError, UnknownNameError, suggest
+from featreg.interfaces import FailedFit
+from featreg.results.json_file import plain
+from featreg.results.registration import Registration
+from featreg.study.evaluation import (
+    Scores,
+    area_under_curve,
+    evaluate,
+    match_errors,
+    matching_accuracy_curve,
+    repeatable,
+    spread,
+    stage_mask,
+)
+from featreg.study.truth import Truth
+from featreg.types import FloatArray
+
+#: Thresholds of the mean matching accuracy curve, px.
+CURVE = tuple(range(1, 11))
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """All that a metric may look at.
+
+    Parameters
+    ----------
+    registration : the result
+    truth : where points really lie; None where it is not known
+    threshold : px, greatest distance of a correct match
+    stage : at which NM is counted; None for that of `featreg.study.evaluation.default_stage`
+    act : stage -> seconds, measured in a serial pass; None where it was not
+    keypoints : (N, 2) of the reference and of the secondary; None where they were not asked for or there are none
+    """
+
+    registration: Registration
+    truth: Truth | None = None
+    threshold: float = 1.5
+    stage: str | None = None
+    act: Mapping[str, float] | None = None
+    keypoints: tuple[FloatArray, FloatArray] | None = None
+
+    @cached_property
+    def scores(self) -> Scores | None:
+        """Everything that `evaluate` gives."""
+        if self.truth is None:
+            return None
+        return evaluate(self.registration, self.truth, self.threshold, self.stage)
+
+    @cached_property
+    def errors(self) -> FloatArray | None:
+        """(NM,) px, distances of the scored matches from the truth; NaN where it is not known."""
+        if self.truth is None:
+            return None
+        rows = stage_mask(self.registration, self.stage)
+        matches = self.registration.matches
+        return match_errors(matches.reference_xy[rows], matches.secondary_xy[rows], self.truth)
+
+    @property
+    def model_error(self) -> float | None:
+        """px, grid RMSE of a model that was returned as "ok"; infinite where none was."""
+        if self.scores is None:
+            return None
+        if self.registration.status != "ok" or self.scores.model_failed:
+            return float("inf")
+        return None if np.isnan(self.scores.grid_rmse) else self.scores.grid_rmse
+
+    @cached_property
+    def found_again(self) -> tuple[int, int, int] | None:
+        """(repeatable points, reference keypoints, secondary keypoints), each within the other image."""
+        shapes = [self.shape("reference"), self.shape("secondary")]
+        if self.truth is None or self.keypoints is None or shapes[0] is None or shapes[1] is None:
+            return None
+        return repeatable(*self.keypoints, self.truth, (shapes[0], shapes[1]), self.threshold)
+
+    def shape(self, role: str) -> tuple[int, int] | None:
+        """(H, W) of an image as the result says it."""
+        said = (self.registration.provenance.get("inputs") or {}).get(role) or {}
+        return (int(said["height"]), int(said["width"])) if said.get("height") and said.get("width") else None
+
+
+@dataclass(frozen=True)
+class Metric:
+    """One column of a table.
+
+    Parameters
+    ----------
+    name : of the column
+    meaning : one line
+    function : `Case` -> value, None where there is none
+    better : "higher", "lower" or "" where neither is
+    if_failed : what a method that raised, hung or died gets; None for no value
+    needs_truth : without a truth there is no value, whatever happened
+    needs_keypoints : the keypoints of both images must be kept for it
+    count : a whole number
+    bounds : least and greatest possible value
+    """
+
+    name: str
+    meaning: str
+    function: Callable[[Case], float | None]
+    better: str = ""
+    if_failed: float | None = None
+    needs_truth: bool = True
+    needs_keypoints: bool = False
+    count: bool = False
+    bounds: tuple[float, float] = (0.0, float("inf"))
+
+    def value(self, case: Case) -> Any:
+        """The value as JSON has it: None for NaN."""
+        return plain(self.function(case))
+
+
+def metric_of(name: str) -> Metric:
+    """Return a metric by name.
+
+    Raises
+    ------
+    UnknownNameError
+        No such metric; the text suggests the nearest.
+    ParameterError
+        A number of pixels that is missing or no positive number.
+    """
+    if name in METRICS:
+        return METRICS[name]
+    word, _, rest = name.partition("@")
+    if name.startswith("act.") and len(name) > len("act."):
+        return _time_of(name.removeprefix("act."))
+    if word in FAMILIES:
+        try:
+            pixels = float(rest)
+        except ValueError:
+            pixels = 0.0
+        if not 0 < pixels < float("inf"):
+            raise ParameterError(f"metric '{word}' needs a number of pixels > 0, as in '{word}@3', got '{name}'")
+        return replace(FAMILIES[word](pixels), name=name)
+    known = [*METRICS, *(f"{family}@3" for family in FAMILIES), "act.detect"]
+    raise UnknownNameError(f"unknown metric '{name}', {suggest(name, known)}")
+
+
+def check_metrics(names: Sequence[str]) -> tuple[str, ...]:
+    """Return the names, each of them known and only once."""
+    names = (names,) if isinstance(names, str) else names
+    for name in names:
+        if not isinstance(name, str):
+            raise ParameterError(f"a metric is a name such as 'ncm' or 'auc@3', got {name!r}")
+        metric_of(name)
+    return tuple(dict.fromkeys(names))
+
+
+def _score(name: str) -> Callable[[Case], float | None]:
+    return lambda case: None if case.scores is None else getattr(case.scores, name)
+
+
+def _nm(case: Case) -> float:
+    return int(stage_mask(case.registration, case.stage).sum()) if case.scores is None else case.scores.nm
+
+
+def _rotation(case: Case) -> float | None:
+    model = case.registration.model
+    return None if isinstance(model, FailedFit) else plain(model).get("rotation_deg")
+
+
+def _spread(case: Case) -> float | None:
+    shape = case.shape("reference")
+    if shape is None:
+        return None
+    return spread(case.registration.matches.reference_xy[case.registration.inliers], shape)
+
+
+def _blocks(case: Case) -> float:
+    return int((case.registration.provenance.get("blocks") or {}).get("total") or 1)
+
+
+def _act(case: Case) -> float | None:
+    return None if case.act is None else float(case.act["total"] if "total" in case.act else sum(case.act.values()))
+
+
+def _recall(case: Case) -> float | None:
+    if case.found_again is None or case.scores is None or not case.found_again[0]:
+        return None
+    return min(1.0, case.scores.ncm / case.found_again[0])
+
+
+def _repeatability(case: Case) -> float | None:
+    if case.found_again is None or not min(case.found_again[1:]):
+        return None
+    return case.found_again[0] / min(case.found_again[1:])
+
+
+def _matching_score(case: Case) -> float | None:
+    if case.found_again is None or case.scores is None or not min(case.found_again[1:]):
+        return None
+    return min(1.0, case.scores.ncm / min(case.found_again[1:]))
+
+
+def _accuracy(thresholds: Sequence[float]) -> Callable[[Case], float | None]:
+    return lambda case: None if case.errors is None else float(matching_accuracy_curve(case.errors, thresholds).mean())
+
+
+def _success(pixels: float) -> Callable[[Case], float | None]:
+    return lambda case: None if case.model_error is None else float(case.model_error <= pixels)
+
+
+def _auc(pixels: float) -> Callable[[Case], float | None]:
+    return lambda case: None if case.model_error is None else area_under_curve([case.model_error], pixels)
+
+
+def _wrong(pixels: float) -> Callable[[Case], float | None]:
+    def wrong(case: Case) -> float | None:
+        if case.model_error is None:
+            return None
+        return float(case.registration.status == "ok" and case.model_error > pixels)
+
+    return wrong
+
+
+def _time_of(stage: str) -> Metric:
+    return Metric(
+        f"act.{stage}",
+        f"s, computing time of stage {stage}",
+        lambda case: None if case.act is None else case.act.get(stage),
+        "lower",
+        needs_truth=False,
+    )
+
+
+SHARE = (0.0, 1.0)
+_LIST = (
+    Metric("nm", "matches at the scored stage", _nm, if_failed=0, needs_truth=False, count=True),
+    Metric("ncm", "correct ones among them", _score("ncm"), "higher", 0, count=True),
+    Metric("precision", "NCM / NM", _score("precision"), "higher", 0.0, bounds=SHARE),
+    Metric("rmse", "px, over the correct matches", _score("rmse"), "lower"),
+    Metric("grid_rmse", "px, model against truth on 9 x 9 points", _score("grid_rmse"), "lower"),
+    Metric(
+        "inliers",
+        "final tie points",
+        lambda case: int(case.registration.inliers.sum()),
+        "higher",
+        0,
+        needs_truth=False,
+        count=True,
+    ),
+    Metric(
+        "rotation_deg",
+        "degrees, of the model, counter-clockwise",
+        _rotation,
+        needs_truth=False,
+        bounds=(-float("inf"), float("inf")),
+    ),
+    Metric("time_s", "s, sum of the stages", _act, "lower", needs_truth=False),
+    Metric("blocks", "blocks of the images that were matched", _blocks, needs_truth=False, count=True),
+    Metric(
+        "spread",
+        "share of an 8 x 8 grid's cells that hold a final tie point",
+        _spread,
+        "higher",
+        0.0,
+        needs_truth=False,
+        bounds=SHARE,
+    ),
+    Metric("mma", "share of matches within t px, mean over t = 1 to 10", _accuracy(CURVE), "higher", 0.0, bounds=SHARE),
+    Metric(
+        "repeatability",
+        "keypoints found in both images / the fewer of the two in the common area",
+        _repeatability,
+        "higher",
+        needs_keypoints=True,
+        bounds=SHARE,
+    ),
+    Metric(
+        "recall", "NCM / keypoints found in both images", _recall, "higher", 0.0, needs_keypoints=True, bounds=SHARE
+    ),
+    Metric(
+        "matching_score",
+        "NCM / the fewer keypoints of the two images in the common area",
+        _matching_score,
+        "higher",
+        0.0,
+        needs_keypoints=True,
+        bounds=SHARE,
+    ),
+    Metric("failed", "1 where the method raised, hung or died", lambda case: 0, "lower", 1, False, bounds=SHARE),
+    Metric(
+        "refused",
+        "1 where the result says it is not to be trusted",
+        lambda case: int(case.registration.status != "ok"),
+        if_failed=0,
+        needs_truth=False,
+        bounds=SHARE,
+    ),
+)
+METRICS: Mapping[str, Metric] = {metric.name: metric for metric in _LIST}
+#: Metrics of a number of pixels.
+FAMILIES: Mapping[str, Callable[[float], Metric]] = {
+    "mma": lambda t: Metric("mma", f"share of matches within {t:g} px", _accuracy([t]), "higher", 0.0, bounds=SHARE),
+    "success": lambda t: Metric(
+        "success", f"model trusted and its grid RMSE within {t:g} px", _success(t), "higher", 0.0, bounds=SHARE
+    ),
+    "auc": lambda t: Metric(
+        "auc", f"area under the share of models with a grid RMSE within 0 to {t:g} px", _auc(t), "higher", 0.0,
+        bounds=SHARE,
+    ),
+    "wrong": lambda t: Metric(
+        "wrong", f"model trusted and its grid RMSE beyond {t:g} px", _wrong(t), "lower", 0.0, bounds=SHARE
+    ),
+}  # fmt: skip
+#: What a table shows unless asked otherwise.
+STANDARD = ("nm", "ncm", "precision", "rmse", "grid_rmse", "inliers", "rotation_deg", "time_s")
+
+
+def measured(names: Sequence[str], case: Case) -> dict[str, Any]:
+    """Name -> value of each metric.
+
+    Raises
+    ------
+    InputError
+        The truth does not fit the images, or the result lacks the stage.
+    """
+    return {name: metric_of(name).value(case) for name in names}
+
+
+def of_failure(names: Sequence[str], *, truth: bool) -> dict[str, Any]:
+    """Name -> value for a method that gave no result."""
+    found = {name: metric_of(name) for name in names}
+    return {name: None if m.needs_truth and not truth else m.if_failed for name, m in found.items()}

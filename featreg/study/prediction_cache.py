@@ -1,0 +1,173 @@
+"""Predictions kept on disk under a digest of all that decides them, so that they are made once and scored often."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import inspect
+import io
+import sys
+import zipfile
+from collections.abc import Callable, Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from featreg._version import __version__
+from featreg.errors import FeatregError, InputError
+from featreg.interfaces import Model
+from featreg.registry import KINDS, entries
+from featreg.results.json_file import write_registration
+from featreg.results.registration import Registration
+from featreg.runtime.files import write_atomic
+from featreg.types import FloatArray
+
+#: Rooms that only look at results: a new metric matches nothing again.
+AFTERWARDS = ("cli", "exports", "marking", "pictures", "report", "study")
+#: Keywords of a job that are not those of its pipeline.
+NOT_OF_PIPELINE = (
+    "seed", "initial", "search_radius", "reference_mask", "secondary_mask", "nodata", "scale", "mask", "only",
+)  # fmt: skip
+
+
+class PredictionCache:
+    """Results in a folder, each under the digest of everything that went into it: never of another protocol.
+
+    Part of every digest is the source of this package's core and of the plugins that the method uses, so that who works
+    on a plugin never meets what an older version of it gave, and keeps what other methods gave.
+    """
+
+    def __init__(self, folder: Path | None) -> None:
+        self.folder = folder
+        self.images: dict[str, bytes] = {}
+
+    def key(self, name: str, images: tuple[Any, ...], keywords: Mapping[str, Any]) -> str | None:
+        """The digest, or None where something has no certain one: such a result is not kept.
+
+        `name` stands for the images, whose digest is taken once.
+        """
+        if self.folder is None:
+            return None
+        try:
+            if name not in self.images:
+                self.images[name] = _digest(list(images))
+            return _digest([f"featreg {__version__}", _code(keywords), self.images[name], keywords]).hex()
+        except (TypeError, ValueError, AttributeError, OSError, RecursionError):
+            return None
+
+    def read(self, key: str | None) -> tuple[Registration | None, dict[str, float] | None]:
+        """The result and its times (stage -> seconds of a serial run), None for what is not there or not whole."""
+        if self.folder is None or key is None or not (self.folder / f"{key}.json").is_file():
+            return None, None
+        try:
+            kept = Registration.from_json(self.folder / f"{key}.json")
+        except InputError:
+            return None, None
+        provenance = dict(kept.provenance)
+        mark = provenance.pop("comparison", None)
+        if not isinstance(mark, dict) or mark.get("key") != key:
+            return None, None
+        act = mark.get("act")
+        times = {str(k): float(v) for k, v in act.items()} if isinstance(act, dict) else None
+        return dataclasses.replace(kept, provenance=provenance), times
+
+    def write(self, key: str | None, result: Registration | str, act: Mapping[str, float] | None) -> None:
+        """Keep a result and its times; a failure (text) is not kept."""
+        if self.folder is None or key is None or isinstance(result, str):
+            return
+        self.folder.mkdir(parents=True, exist_ok=True)
+        provenance = {**result.provenance, "comparison": {"key": key, "act": None if act is None else dict(act)}}
+        write_registration(dataclasses.replace(result, provenance=provenance), self.folder / f"{key}.json")
+
+    def read_points(self, key: str | None) -> FloatArray | None:
+        """(N, 2) keypoints, or None for what is not there or not whole."""
+        if self.folder is None or key is None or not (self.folder / f"{key}.npz").is_file():
+            return None
+        try:
+            with np.load(self.folder / f"{key}.npz", allow_pickle=False) as kept:
+                xy, mark = kept["xy"], str(kept["key"])
+        except (OSError, ValueError, LookupError, EOFError, zipfile.BadZipFile):
+            return None
+        whole = mark == key and xy.dtype == np.float64 and xy.ndim == 2 and xy.shape[1] == 2 and np.isfinite(xy).all()
+        return xy if whole else None
+
+    def write_points(self, key: str | None, xy: FloatArray) -> None:
+        """Keep keypoints."""
+        if self.folder is None or key is None:
+            return
+        self.folder.mkdir(parents=True, exist_ok=True)
+        out = io.BytesIO()
+        np.savez_compressed(out, xy=xy, key=np.array(key))
+        write_atomic(self.folder / f"{key}.npz", out.getvalue())
+
+
+def _code(keywords: Mapping[str, Any]) -> list[bytes]:
+    """Digests of the code that decides a result: the core, and the plugins that the method uses."""
+    return [_core(), *(_file(module) for module in sorted(_modules(keywords)))]
+
+
+def _modules(keywords: Mapping[str, Any]) -> set[str]:
+    """The modules of the plugins of a method; those of all plugins where the method cannot be built."""
+    from featreg.pipeline.assembly import assemble
+    from featreg.pipeline.feature_matcher import FeatureMatcher
+
+    try:
+        pipeline = assemble(**{key: value for key, value in keywords.items() if key not in NOT_OF_PIPELINE})
+    except (FeatregError, TypeError):
+        return {found.module for kind in KINDS for found in entries(kind)}
+    parts: list[Any] = [pipeline.matcher, *(keeper for _, keeper in pipeline.filters)]
+    if isinstance(pipeline.matcher, FeatureMatcher):
+        parts += [pipeline.matcher.detector, pipeline.matcher.descriptor, pipeline.matcher.nearest]
+    return {type(part).__module__ for part in parts if part is not None} | {pipeline.model.__module__}
+
+
+@lru_cache(maxsize=1)
+def _core() -> bytes:
+    """Digest of the modules of this package that may decide a result."""
+    package = Path(__file__).parents[1]
+    files = {path for path in package.rglob("*.py") if not path.relative_to(package).parts[0] not in AFTERWARDS}
+    return _digest([[path.relative_to(package).as_posix(), path.read_bytes()] for path in sorted(files)])
+
+
+@lru_cache
+def _file(module: str) -> bytes:
+    """Digest of the source of a loaded module; of its name where it has no file."""
+    source = getattr(sys.modules.get(module), "__file__", None)
+    return hashlib.sha256(module.encode() + (Path(source).read_bytes() if source else b"")).digest()
+
+
+def _digest(value: Any) -> bytes:
+    digest = hashlib.sha256()
+    _feed(digest.update, value)
+    return digest.digest()
+
+
+def _feed(update: Callable[[bytes], None], value: Any) -> None:
+    """Feed the content of `value` to a digest; TypeError where the content cannot be known for certain."""
+    update(f"<{type(value).__module__}.{type(value).__qualname__}>".encode())
+    if isinstance(value, str | Path) and Path(value).is_file():
+        with open(value, "rb") as file:
+            update(Path(value).suffix.encode() + hashlib.file_digest(file, "sha256").digest())
+    elif value is None or isinstance(value, bool | int | float | complex | str | bytes | Path | np.generic):
+        update(repr(value).encode())
+    elif isinstance(value, np.ndarray) and not value.dtype.hasobject:
+        update(f"{value.dtype.str}{value.shape}".encode() + np.ascontiguousarray(value).tobytes())
+    elif isinstance(value, list | tuple):
+        update(str(len(value)).encode())
+        for part in value:
+            _feed(update, part)
+    elif isinstance(value, Mapping):
+        _feed(update, [[str(k), value[k]] for k in sorted(value, key=str)])
+    elif isinstance(value, Model):
+        _feed(update, dict(value.parameters))
+    elif dataclasses.is_dataclass(value) and not isinstance(value, type):
+        _feed(update, {f.name: getattr(value, f.name) for f in dataclasses.fields(value) if f.init})
+    elif isinstance(value, tuple(KINDS.values())):
+        # A plugin is its class and its parameters, which it keeps under their own names.
+        _feed(update, {name: getattr(value, name) for name in inspect.signature(type(value)).parameters})
+    elif (isinstance(value, type) or inspect.isfunction(value)) and "<" not in value.__qualname__:
+        update(f"{value.__module__}.{value.__qualname__}".encode())
+    else:
+        raise TypeError(f"{type(value)} has no digest")

@@ -1,0 +1,166 @@
+"""What is the same for all methods of a comparison, and the lines under its table that say so."""
+
+from __future__ import annotations
+
+import os
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from featreg._version import __version__
+from featreg.errors import ParameterError
+from featreg.results.registration import Registration
+from featreg.study.evaluation import default_stage
+from featreg.study.jobs import Job, Method, Outcome, Pair
+from featreg.study.metrics import STANDARD, metric_of
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """One protocol for every method and pair.
+
+    Parameters
+    ----------
+    threshold : px, greatest distance of a correct match from the truth
+    stage : at which NM is counted; None for the last filter that looks at neighbourhoods, which is the methods' own
+    n_features : budget: most features per image and most final tie points; None for the package's default
+    filters : one chain of filters for all; None leaves each method its own
+    model : geometric model; None for each method's own
+    refine : refinement on or off for all; None for each method's own
+    scale, nodata : what the samples are, as `featreg.match` takes them
+    time_limit : s, of one job in its own process; None for no limit
+    timing : measure times in a serial pass
+    warm_up : discard the first call of each method when times are measured
+    confidence : of the intervals
+    """
+
+    threshold: float = 1.5
+    stage: str | None = None
+    n_features: int | None = None
+    filters: tuple[str, ...] | None = None
+    model: str | None = None
+    refine: bool | None = None
+    scale: str | None = None
+    nodata: float | None = None
+    time_limit: float | None = None
+    timing: bool = True
+    warm_up: bool = True
+    confidence: float = 0.95
+
+    def __post_init__(self) -> None:
+        _positive(self.threshold, "threshold", "pixels")
+        _positive(self.time_limit, "time_limit", "seconds")
+        if self.n_features is not None and not (_is_whole(self.n_features) and self.n_features > 0):
+            raise ParameterError(f"n_features must be a whole number >= 1, got {self.n_features!r}")
+        if self.filters is not None:
+            names = (self.filters,) if isinstance(self.filters, str) else tuple(self.filters)
+            if not all(isinstance(name, str) for name in names):
+                raise ParameterError(f"filters must be a list of names, got {self.filters!r}")
+            object.__setattr__(self, "filters", names)
+        for name in ("refine", "timing", "warm_up"):
+            value = getattr(self, name)
+            if not isinstance(value, bool) and not (name == "refine" and value is None):
+                raise ParameterError(f"{name} must be true or false, got {value!r}")
+        for name in ("stage", "model", "scale"):
+            if not isinstance(getattr(self, name), str | None):
+                raise ParameterError(f"{name} must be a name, got {getattr(self, name)!r}")
+        if self.nodata is not None and not _is_number(self.nodata):
+            raise ParameterError(f"nodata must be a number, got {self.nodata!r}")
+        if not _is_number(self.confidence) or not 0 < self.confidence < 1:
+            raise ParameterError(f"confidence must be a number between 0 and 1, got {self.confidence!r}")
+
+    def keywords(self) -> dict[str, Any]:
+        """The part that decides what is matched, as keywords of `featreg.match`."""
+        given = {name: getattr(self, name) for name in ("n_features", "filters", "model", "refine", "scale", "nodata")}
+        return {name: list(v) if name == "filters" else v for name, v in given.items() if v is not None}
+
+    def to_dict(self) -> dict[str, Any]:
+        """What differs from the defaults."""
+        found = {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name) != f.default}
+        return {name: list(value) if isinstance(value, tuple) else value for name, value in found.items()}
+
+
+def describe(
+    pairs: Sequence[Pair],
+    methods: Mapping[str, Method],
+    outcomes: Mapping[Job, Outcome],
+    seeds: Sequence[int],
+    protocol: Protocol,
+    metrics: Sequence[str],
+) -> list[str]:
+    """Return the lines that stand under the table."""
+    import cv2
+
+    lines = [
+        f"NCM: matches within {protocol.threshold:g} px of the truth; precision NCM / NM; RMSE over NCM; "
+        "grid RMSE: model against truth on 9 x 9 points"
+    ]
+    more = [f"{name}: {metric_of(name).meaning}" for name in metrics if name not in STANDARD]
+    lines += ["; ".join(more)] if more else []
+    chains: set[tuple[str, ...]] = set()
+    budgets: set[str] = set()
+    for label in methods:
+        results = (outcomes[job].result for job in outcomes if job.method == label)
+        made = next((result for result in results if isinstance(result, Registration)), None)
+        if made is None:
+            lines.append(f"{label}: no result")
+            continue
+        budget = _budget(made, methods[label])
+        filters = ", ".join(made.stages) or "none"
+        counted = protocol.stage or default_stage(made)
+        swept = methods[label].point
+        budget_text = "swept" if "n_features" in swept else budget
+        line = f"{methods[label].base}: filters {filters}; NM counted at {counted}; budget n_features {budget_text}"
+        lines += [] if line in lines else [line]
+        chains |= set() if "filters" in swept else {tuple(name for name in made.stages if name != "refine")}
+        budgets |= set() if "n_features" in swept else {budget}
+    for what, differ in (("filters", len(chains) > 1), ("budget", len(budgets) > 1)):
+        if differ:
+            lines.append(f"the methods differ in their {what}: differences between them are not the method's alone")
+    truths = dict.fromkeys(str(pair.truth) for pair in pairs if pair.truth is not None)
+    lines.append(f"truth: {'; '.join(truths) or 'none'}")
+    how = "not measured"
+    if protocol.timing:
+        how = "sum of the stages, serial, one OpenCV thread"
+        how += ", first call of each method discarded" * protocol.warm_up
+    lines.append(f"time: {how}; seed{'s' * (len(seeds) > 1)} {', '.join(str(seed) for seed in seeds)}")
+    versions = {"featreg": __version__, "OpenCV": cv2.__version__, "numpy": np.__version__}
+    lines.append(", ".join(f"{k} {v}" for k, v in (versions | {"Python": platform.python_version()}).items()))
+    lines.append(f"machine: {machine()}")
+    return lines
+
+
+def machine() -> str:
+    """Processor, cores and system in one line."""
+    name = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        lines = info.read_text(encoding="utf-8", errors="replace").splitlines()
+        name = next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), name)
+    return f"{name}, {os.cpu_count()} cores, {platform.system()} {platform.machine()}"
+
+
+def _budget(made: Registration, method: Method) -> str:
+    parameters = made.provenance.get("parameters")
+    said = parameters if isinstance(parameters, Mapping) else {}
+    budget = said.get("n_features", made.provenance.get("n_features"))
+    return str(method.keywords.get("n_features", "not stated" if budget is None else budget))
+
+
+def _positive(value: Any, name: str, unit: str) -> None:
+    if name == "time_limit" and value is None:
+        return
+    if not _is_number(value) or not 0 < value < float("inf"):
+        raise ParameterError(f"{name} must be a number of {unit} > 0, got {value!r}")
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+
+
+def _is_whole(value: Any) -> bool:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)

@@ -1,0 +1,342 @@
+"""The table of a comparison: rows, the protocol under which they were made, and every way to print them."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from featreg.errors import InputError, ParameterError, suggest
+from featreg.results.json_file import plain
+from featreg.runtime.files import write_atomic
+from featreg.study.intervals import Interval, interval
+from featreg.study.layouts import LAYOUTS, best_of, columns_of
+from featreg.study.metrics import STANDARD, metric_of
+
+COLUMNS = ("pair", "method", "status", *STANDARD, "reason")
+#: Columns that are no metric.
+HEAD, TAIL = ("pair", "method", "seed"), ("status", "reason")
+#: What LaTeX reads as a command, or prints as another sign in its usual font encoding.
+LATEX = str.maketrans(
+    {sign: f"\\{sign}" for sign in "{}&%$#_"}
+    | {"\\": r"\textbackslash{}", "^": r"\^{}", "~": r"\~{}", "<": r"\textless{}", ">": r"\textgreater{}",
+       "|": r"\textbar{}", "°": r"\textdegree{}"}
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """One row for each pair, method and seed, the protocol under which they were made, and how to print them.
+
+    Parameters
+    ----------
+    rows : dicts with the keys `COLUMNS`, or with other metrics in place of the standard ones, a "seed" where there are
+        several, and the parameters of a grid after "method"; a value that does not exist is None
+    protocol : lines that say how the numbers came about
+    confidence : of the intervals
+    """
+
+    rows: Sequence[Mapping[str, Any]]
+    protocol: Sequence[str] = field(default=())
+    confidence: float = 0.95
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The keys of the rows."""
+        return tuple(self.rows[0]) if self.rows else COLUMNS
+
+    @property
+    def metrics(self) -> tuple[str, ...]:
+        """The columns that hold metrics."""
+        columns = self.columns
+        return columns[columns.index("status") + 1 : columns.index("reason")]
+
+    @property
+    def grid(self) -> tuple[str, ...]:
+        """The columns that hold parameters of a grid."""
+        columns = self.columns
+        return tuple(c for c in columns[: columns.index("status")] if c not in HEAD)
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """The labels of the methods, in order."""
+        return tuple(dict.fromkeys(row["method"] for row in self.rows))
+
+    @property
+    def failed(self) -> int:
+        """Number of rows in which a method raised an error, hung or died."""
+        return sum(row["status"] == "failed" for row in self.rows)
+
+    def summary(self) -> list[dict[str, Any]]:
+        """Median and mean of each method where there are several rows of it, else nothing.
+
+        In a median a missing model counts as infinitely wrong, so that a method cannot win by giving up; a mean is
+        over the rows that have the value.
+        """
+        if len({(row["pair"], row.get("seed")) for row in self.rows}) < 2:
+            return []
+        found = []
+        for statistic, reduce in (("median", np.median), ("mean", np.mean)):
+            for method in self.methods:
+                rows = [row for row in self.rows if row["method"] == method]
+                good = sum(row["status"] == "ok" for row in rows)
+                made: dict[str, Any] = dict.fromkeys(self.columns)
+                made |= {"pair": statistic, "method": method, "status": f"{good}/{len(rows)} ok", "reason": ""}
+                made |= {name: rows[0][name] for name in self.grid}
+                for name in self.metrics:
+                    worst = math.inf if (statistic, name) == ("median", "grid_rmse") else None
+                    values = [worst if row[name] is None and _has_truth(row) else row[name] for row in rows]
+                    there = [v for v in values if v is not None]
+                    made[name] = float(reduce(there)) if there else None
+                found.append(made)
+        return found
+
+    def intervals(self) -> dict[str, dict[str, Interval]]:
+        """Method -> metric -> mean over the pairs with its bootstrap interval (see `featreg.study.intervals`)."""
+        return {
+            method: {name: self._interval(name, self._values(method, name)) for name in self.metrics}
+            for method in self.methods
+        }
+
+    def differences(self, baseline: str | None = None) -> dict[str, dict[str, Interval]]:
+        """Method -> metric -> mean difference from a baseline, over what both have, with its interval.
+
+        Parameters
+        ----------
+        baseline : a method's label, by default the first
+
+        Raises
+        ------
+        ParameterError
+            No method of that label.
+
+        Notes
+        -----
+        Paired: each pair and seed is compared with itself, so that what makes an image pair hard for both drops out.
+        """
+        first = self.methods[0] if baseline is None else baseline
+        if first not in self.methods:
+            raise ParameterError(f"no method '{first}' in the table, {suggest(first, self.methods)}")
+        found: dict[str, dict[str, Interval]] = {}
+        for method in self.methods:
+            if method == first:
+                continue
+            found[method] = {}
+            for name in self.metrics:
+                base = self._values(first, name)
+                here = self._values(method, name)
+                shared = {key: value - base[key] for key, value in here.items() if key in base}
+                found[method][name] = self._interval(name, shared, difference=True)
+        return found
+
+    def pivot(self, row: str, column: str, metric: str) -> tuple[list[Any], list[Any], list[list[float | None]]]:
+        """(row values, column values, mean of a metric at each of their combinations): the data of a heat map.
+
+        Raises
+        ------
+        ParameterError
+            A column that the table does not have.
+        """
+        for name in (row, column, metric):
+            if name not in self.columns:
+                raise ParameterError(f"the table has no column '{name}', {suggest(name, self.columns)}")
+        # By their text: 1 and True are equal as keys.
+        down = list({repr(r[row]): r[row] for r in self.rows}.values())
+        across = list({repr(r[column]): r[column] for r in self.rows}.values())
+        cells: list[list[float | None]] = []
+        for y in down:
+            line: list[float | None] = []
+            for x in across:
+                here = [r[metric] for r in self.rows if (repr(r[row]), repr(r[column])) == (repr(y), repr(x))]
+                there = [float(value) for value in here if value is not None]
+                line.append(math.fsum(there) / len(there) if there else None)
+            cells.append(line)
+        return down, across, cells
+
+    def to_markdown(self, path: str | Path | None = None, *, layout: str | None = None) -> str:
+        """Return (and write, where a path is given) the table, the summary and the protocol as Markdown.
+
+        `layout` is "table2" or "table3" for those of the SAR-ORB paper.
+        """
+        columns, parts = self._shown(layout)
+        lines = [_line(columns.values()), _line(["---"] * len(columns))]
+        lines += [_line(_text(row, name) for name in columns) for part in parts for row in part]
+        if layout is None:
+            lines += self._interval_lines()
+        return _emit("\n".join([*lines, "", *(f"- {line}" for line in self.protocol)]) + "\n", path)
+
+    def to_csv(self, path: str | Path | None = None, *, layout: str | None = None) -> str:
+        """Return (and write) the rows as CSV, numbers in full, without summary and protocol."""
+        columns, parts = self._shown(layout)
+        names = list(self.columns) if layout is None else list(columns)
+        out = io.StringIO()
+        writer = csv.writer(out, lineterminator="\n")
+        writer.writerow(names if layout is None else columns.values())
+        writer.writerows([row.get(name) for name in names] for row in (self.rows if layout is None else parts[0]))
+        return _emit(out.getvalue(), path)
+
+    def to_latex(self, path: str | Path | None = None, *, layout: str | None = None) -> str:
+        """Return (and write) a LaTeX tabular, the best value of each pair in bold, the protocol underneath."""
+        columns, parts = self._shown(layout)
+        sides = "".join("r" if name in (*self.metrics, "act") else "l" for name in columns)
+        lines = [rf"\begin{{tabular}}{{{sides}}}", r"\hline"]
+        lines += [" & ".join(_escape(title) for title in columns.values()) + r" \\", r"\hline"]
+        judged = self._judged()
+        ranked: tuple[Sequence[Mapping[str, Any]], ...] = (parts[0], judged)
+        for part, fair in zip(parts, ranked, strict=False):
+            pair = ""
+            for row, own in zip(part, fair, strict=True):
+                pair = row["pair"] or pair
+                rivals = [other for other in [*self.rows, *judged] if other["pair"] == pair]
+                cells = (_escape(_text(row, name)) for name in columns)
+                best = (best_of(own, name, rivals) for name in columns)
+                lines.append(
+                    " & ".join(rf"\textbf{{{c}}}" if b else c for c, b in zip(cells, best, strict=True)) + r" \\"
+                )
+            lines += [r"\hline"] if part else []
+        lines += [r"\end{tabular}", *(rf"\par{{\footnotesize {_escape(line)}}}" for line in self.protocol)]
+        return _emit("\n".join(lines) + "\n", path)
+
+    def to_json(self, path: str | Path | None = None) -> str:
+        """Return (and write) one JSON object: rows, summary, intervals, differences, protocol, failed."""
+        whole = {
+            "rows": self.rows,
+            "summary": self.summary(),
+            "intervals": self.intervals(),
+            "differences": self.differences() if len(self.methods) > 1 else {},
+            "confidence": self.confidence,
+            "protocol": self.protocol,
+            "failed": self.failed,
+        }
+        return _emit(json.dumps(plain(whole), indent=2, ensure_ascii=False) + "\n", path)
+
+    def to_dataframe(self) -> Any:
+        """Return the rows as a `pandas.DataFrame`."""
+        import pandas as pd
+
+        return pd.DataFrame([dict(row) for row in self.rows], columns=list(self.columns))
+
+    def to_parquet(self, path: str | Path) -> None:
+        """Write the rows as Parquet, the protocol in the file's metadata under "featreg".
+
+        Raises
+        ------
+        InputError
+            The file cannot be written, or a column mixes kinds of values.
+        """
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        try:
+            arrow = pa.table({name: [plain(row[name]) for row in self.rows] for name in self.columns})
+        except pa.ArrowException as error:
+            raise InputError(f"the table cannot be written as Parquet: {error}") from error
+        note = json.dumps({"protocol": list(self.protocol), "confidence": self.confidence})
+        sink = pa.BufferOutputStream()
+        pq.write_table(arrow.replace_schema_metadata({"featreg": note}), sink, compression="zstd")
+        write_atomic(Path(path), sink.getvalue().to_pybytes())
+
+    def __str__(self) -> str:
+        return self.to_markdown()
+
+    def _shown(self, layout: str | None) -> tuple[dict[str, str], list[list[Mapping[str, Any]]]]:
+        """Column -> title, and the rows to print, the summary apart."""
+        if layout is None:
+            kept = [c for c in self.columns if c != "reason" or any(row["reason"] for row in self.rows)]
+            return dict(zip(kept, kept, strict=True)), [list(self.rows), list(self.summary())]
+        if layout not in LAYOUTS:
+            raise ParameterError(f"unknown layout '{layout}', {suggest(layout, LAYOUTS)}")
+        return columns_of(layout, self.columns, self.rows)
+
+    def _judged(self) -> list[dict[str, Any]]:
+        """The summary without what flatters a method: times and errors that leave out the rows it gave up."""
+        found = self.summary()
+        for row in found:
+            rows = [r for r in self.rows if r["method"] == row["method"]]
+            for name in self.metrics:
+                counted = (row["pair"], name) == ("median", "grid_rmse")
+                if metric_of(name).better == "lower" and not counted and any(r[name] is None for r in rows):
+                    row[name] = None
+        return found
+
+    def _interval_lines(self) -> list[str]:
+        """The means with their intervals, as a table of their own, where there is anything to say."""
+        found = self.intervals()
+        named = [n for n in self.metrics if metric_of(n).better]
+        names = [n for n in named if any(f[n].low is not None for f in found.values())]
+        if not names:
+            return []
+        rest = self.differences() if len(found) > 1 else {}
+        title = f"{self.confidence:.0%} intervals".replace("%", " %")
+        lines = ["", _line([f"mean [{title}]", *names]), _line(["---"] * (len(names) + 1))]
+        lines += [_line([method, *(str(f[n]) for n in names)]) for method, f in found.items()]
+        lines += [
+            _line([f"{method} minus {self.methods[0]}", *(_signed(f[n]) for n in names)]) for method, f in rest.items()
+        ]
+        unit = " and ".join(sorted({f[n].over for f in found.values() for n in names}))
+        note = f"Studentised bootstrap over the {unit}; * a difference whose interval leaves out zero"
+        if any(f[n].missing for f in [*found.values(), *rest.values()] for n in names):
+            note += "; 'without N': N pairs have no value, and a mean that leaves them out flatters the method"
+        return [*lines, "", f"{note}."]
+
+    def _values(self, method: str, metric: str) -> dict[tuple[Any, Any], float]:
+        """(pair, seed) -> value, where there is one."""
+        rows = [row for row in self.rows if row["method"] == method and row[metric] is not None]
+        return {(row["pair"], row.get("seed")): float(row[metric]) for row in rows}
+
+    def _interval(self, metric: str, values: Mapping[tuple[Any, Any], float], *, difference: bool = False) -> Interval:
+        groups: dict[Any, list[float]] = {}
+        for (pair, _), value in values.items():
+            groups.setdefault(pair, []).append(value)
+        low, high = metric_of(metric).bounds
+        bounds = (low - high, high - low) if difference else (low, high)
+        found = interval(list(groups.values()), self.confidence, bounds=bounds)
+        return replace(found, missing=len({row["pair"] for row in self.rows}) - len(groups))
+
+
+def _has_truth(row: Mapping[str, Any]) -> bool:
+    """Whether a grid RMSE that is missing means that the model is."""
+    return any(row.get(name) is not None for name in ("precision", "ncm"))
+
+
+def _line(cells: Any) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+def _signed(found: Interval) -> str:
+    if found.mean is None:
+        return ""
+    text = str(found)
+    return f"{text if text.startswith('-') else '+' + text}{' *' if found.excludes_zero else ''}"
+
+
+def _text(row: Mapping[str, Any], name: str) -> str:
+    value = row.get(name)
+    if value is None:
+        return ""
+    if isinstance(value, bool) or not isinstance(value, float):
+        return str(value)
+    if name in HEAD + TAIL:
+        return str(value)
+    try:
+        count = name != "act" and metric_of(name).count
+    except LookupError:
+        return f"{value:g}"
+    return f"{value:g}" if count else f"{value:.3f}"
+
+
+def _escape(text: str) -> str:
+    return text.translate(LATEX)
+
+
+def _emit(text: str, path: str | Path | None) -> str:
+    if path is not None:
+        write_atomic(Path(path), text.encode())
+    return text

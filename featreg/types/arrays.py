@@ -1,0 +1,64 @@
+"""The arrays that the types hold: their kinds, their shape, that they are finite, that nobody writes to them."""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from featreg.errors import InputError
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
+A = TypeVar("A", bound=NDArray[Any])
+
+
+def read_only(array: A) -> A:
+    """Return `array` itself, locked against writing."""
+    array.flags.writeable = False
+    return array
+
+
+def points(values: ArrayLike, what: str) -> FloatArray:
+    """Return `values` as a read-only (N, 2) float64 array of (x, y) points.
+
+    Raises
+    ------
+    InputError
+        The values do not form an (N, 2) array of finite numbers.
+    """
+    array = np.array(values, dtype=np.float64)
+    if array.size == 0:
+        array = array.reshape(0, 2)
+    if array.ndim != 2 or array.shape[1] != 2:
+        raise InputError(f"{what} must be an (N, 2) array of (x, y), got shape {array.shape}")
+    return read_only(finite(array, what))
+
+
+def finite(array: FloatArray, what: str) -> FloatArray:
+    """Return `array` itself; an `InputError` where it holds a value that is not finite."""
+    if not np.isfinite(array).all():
+        raise InputError(f"{what} must be finite, got {int((~np.isfinite(array)).sum())} values that are not")
+    return array
+
+
+def column(values: ArrayLike, rows: int, what: str, dtype: Any = np.float64) -> NDArray[Any]:
+    """Return `values` as a read-only (rows,) array; one number stands for all rows."""
+    array = np.array(values, dtype=dtype)
+    if array.ndim == 0:
+        array = np.full(rows, array, dtype=dtype)
+    if array.shape != (rows,):
+        raise InputError(f"{what} must have shape ({rows},), got {array.shape}")
+    return read_only(array)
+
+
+class ReadOnlyArrays:
+    """Arrays come back from a pickle locked, as they were."""
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        for value in state.values():
+            if isinstance(value, np.ndarray):
+                read_only(value)

@@ -1,0 +1,142 @@
+"""The keypoints of one image and their descriptors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from featreg.errors import InputError
+from featreg.types import keypoints as opencv_keypoints
+from featreg.types import lafs as kornia_lafs
+from featreg.types.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays, column, finite, points, read_only
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Features(ReadOnlyArrays):
+    """Keypoints of one image and, once described, their descriptors.
+
+    Parameters
+    ----------
+    xy : (N, 2) float64 pixel coordinates
+    scale : (N,) float64 radius in pixels of the support from which the point is described
+    angle : (N,) float64 radians, counter-clockwise as seen
+    score : (N,) float64, higher is better
+    level : (N,) int64 pyramid level or octave
+    descriptors : (N, D) float32, or uint8 holding packed bits, or None before description
+    norm : "l2" or "hamming", of the descriptors
+    index : (N,) int64 rows of the features a descriptor was given, where it dropped or doubled some; else None
+    subpixel : (N,) bool, False where the sub-pixel position could not be found and is that of the pixel; else None
+    """
+
+    xy: FloatArray
+    scale: FloatArray
+    angle: FloatArray
+    score: FloatArray
+    level: IntArray
+    descriptors: NDArray[np.float32] | NDArray[np.uint8] | None = None
+    norm: str = "l2"
+    index: IntArray | None = None
+    subpixel: BoolArray | None = None
+
+    def __post_init__(self) -> None:
+        put = object.__setattr__
+        put(self, "xy", points(self.xy, "Features.xy"))
+        n = len(self.xy)
+        for name in ("scale", "angle", "score"):
+            put(self, name, finite(column(getattr(self, name), n, f"Features.{name}"), f"Features.{name}"))
+        put(self, "level", column(self.level, n, "Features.level", np.int64))
+        if self.index is not None:
+            put(self, "index", column(self.index, n, "Features.index", np.int64))
+        if self.subpixel is not None:
+            put(self, "subpixel", column(self.subpixel, n, "Features.subpixel", np.bool_))
+        if self.norm not in ("l2", "hamming"):
+            raise InputError(f"Features.norm must be 'l2' or 'hamming', got '{self.norm}'")
+        if self.descriptors is not None:
+            wanted = np.float32 if self.norm == "l2" else np.uint8
+            d = self.descriptors
+            if d.ndim != 2 or len(d) != n or d.dtype != wanted:
+                raise InputError(f"descriptors must be ({n}, D) {np.dtype(wanted)}, got {d.dtype} {d.shape}")
+            read_only(d)
+
+    @classmethod
+    def empty(cls) -> Self:
+        none = np.zeros(0)
+        return cls(xy=np.zeros((0, 2)), scale=none, angle=none, score=none, level=np.zeros(0, np.int64))
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[Features]) -> Features:
+        """The undescribed features of all parts, one after the other."""
+        if not parts:
+            return cls.empty()
+        marks = [part.subpixel for part in parts]
+        return cls(
+            xy=np.concatenate([part.xy for part in parts]),
+            scale=np.concatenate([part.scale for part in parts]),
+            angle=np.concatenate([part.angle for part in parts]),
+            score=np.concatenate([part.score for part in parts]),
+            level=np.concatenate([part.level for part in parts]),
+            subpixel=None if any(m is None for m in marks) else np.concatenate([m for m in marks if m is not None]),
+        )
+
+    def __len__(self) -> int:
+        return len(self.xy)
+
+    def take(self, rows: NDArray[Any]) -> Self:
+        """The features of the given rows (indices or a bool mask), in that order."""
+        return replace(
+            self,
+            xy=self.xy[rows],
+            scale=self.scale[rows],
+            angle=self.angle[rows],
+            score=self.score[rows],
+            level=self.level[rows],
+            descriptors=None if self.descriptors is None else self.descriptors[rows],
+            index=None if self.index is None else self.index[rows],
+            subpixel=None if self.subpixel is None else self.subpixel[rows],
+        )
+
+    def best(self, count: int) -> Self:
+        """At most `count` features of the highest score, best first, ties in the order given."""
+        return self.take(np.argsort(-self.score, kind="stable")[:count])
+
+    def to_keypoints(self, *, octave: ArrayLike | None = None, class_id: ArrayLike = -1) -> list[Any]:
+        """As `cv2.KeyPoint` (size = diameter, angle in degrees clockwise as OpenCV has it).
+
+        `octave` and `class_id` are (N,) or one int for the fields of that name; without `octave` the low byte of
+        `level`.
+        """
+        low = self.level & 255 if octave is None else octave
+        return opencv_keypoints.to_keypoints(self.xy, self.scale, self.angle, self.score, low, class_id)
+
+    @classmethod
+    def from_keypoints(cls, keypoints: Sequence[Any], descriptors: NDArray[Any] | None = None) -> Self:
+        """From N `cv2.KeyPoint` and (N, D) descriptors; the inverse of `to_keypoints`.
+
+        Raises
+        ------
+        InputError
+            The number of descriptors is not N.
+        """
+        return cls(**opencv_keypoints.from_keypoints(keypoints, descriptors))
+
+    def to_lafs(self) -> Tensor:
+        """As (1, N, 2, 3) float64 local affine frames of kornia; see `featreg.types.lafs`."""
+        return kornia_lafs.to_lafs(self.xy, self.scale, self.angle)
+
+    @classmethod
+    def from_lafs(cls, lafs: Tensor, score: Any = None, descriptors: Any = None) -> Self:
+        """From kornia's local affine frames; the inverse of `to_lafs`, in which an elongated frame becomes a circle.
+
+        Raises
+        ------
+        InputError
+            Frames of another shape than (1, N, 2, 3) or (N, 2, 3).
+        """
+        return cls(**kornia_lafs.from_lafs(lafs, score, descriptors))

@@ -1,0 +1,121 @@
+"""An image: its samples, which of them are data, where it lies, and what was derived from it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from featreg.errors import InputError
+from featreg.types.arrays import BoolArray, FloatArray, read_only
+from featreg.types.derived import DerivedMaps
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, eq=False)
+class Geolocation:
+    """Where an image lies on the ground, as its file says it; any of the three forms may be missing.
+
+    `transform` is GDAL's affine (a, b, c, d, e, f) from pixel corners to `crs` (WKT or authority code); `rpcs` holds
+    the rational polynomial coefficients under rasterio's names; `gcps` rows are (x, y, ground x, ground y, ground z)
+    with x, y in this package's pixel convention.
+    """
+
+    transform: tuple[float, float, float, float, float, float] | None = None
+    crs: str | None = None
+    rpcs: Mapping[str, Any] | None = None
+    gcps: FloatArray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Image:
+    """One SAR image: linear amplitude or complex samples, and which of its pixels are data.
+
+    Parameters
+    ----------
+    pixels : (H, W) float32 linear amplitude (>= 0) or complex64; invalid pixels hold 0
+    mask : (H, W) bool, True = valid
+    geolocation : where the image lies, when known
+    name : the path it came from, or "array"
+    source_dtype : dtype of the samples before conversion; 8-bit sources are not stretched again for 8-bit code
+    scale : what the source held: "amplitude", "intensity", "db" or "complex"
+
+    Raises
+    ------
+    InputError
+        Wrong number of dimensions, an empty image, a mask of another shape.
+
+    Notes
+    -----
+    Use `featreg.io.as_image` to make one from a path or a plain array.
+    """
+
+    pixels: NDArray[np.float32] | NDArray[np.complex64]
+    mask: BoolArray
+    geolocation: Geolocation | None = None
+    name: str = "array"
+    source_dtype: str = "float32"
+    scale: str = "amplitude"
+    _derived: DerivedMaps = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if self.pixels.ndim != 2 or self.pixels.size == 0:
+            raise InputError(f"an image must be a non-empty 2-D array, got shape {self.pixels.shape}")
+        if self.pixels.dtype not in (np.float32, np.complex64):
+            raise InputError(f"pixels must be float32 amplitude or complex64, got {self.pixels.dtype}")
+        if self.mask.shape != self.pixels.shape or self.mask.dtype != np.bool_:
+            raise InputError(f"mask must be bool {self.pixels.shape}, got {self.mask.dtype} {self.mask.shape}")
+        read_only(self.pixels)
+        read_only(self.mask)
+        object.__setattr__(self, "_derived", DerivedMaps())
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W)."""
+        return self.pixels.shape[0], self.pixels.shape[1]
+
+    @property
+    def is_complex(self) -> bool:
+        return bool(np.iscomplexobj(self.pixels))
+
+    @property
+    def all_valid(self) -> bool:
+        return bool(self.derive(_all_valid))
+
+    @property
+    def amplitude(self) -> NDArray[np.float32]:
+        """(H, W) float32 linear amplitude; computed once for complex images."""
+        return self.derive(_amplitude)
+
+    def derive(self, function: Callable[..., T], **params: Any) -> T:
+        """Return ``function(self, **params)``, computed once per image and parameter set and shared by all stages.
+
+        `function` must be a module-level function; arrays it returns become read-only. See `DerivedMaps`.
+        """
+        value: T = self._derived.get(self, function, params)
+        return value
+
+    def release(self) -> None:
+        """Forget every derived map."""
+        self._derived.clear()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {k: v for k, v in self.__dict__.items() if k != "_derived"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        read_only(self.pixels)
+        read_only(self.mask)
+        self.__dict__["_derived"] = DerivedMaps()
+
+
+def _amplitude(image: Image) -> NDArray[np.float32]:
+    return np.abs(image.pixels) if image.is_complex else image.pixels  # type: ignore[return-value]
+
+
+def _all_valid(image: Image) -> bool:
+    return bool(image.mask.all())

@@ -1,0 +1,203 @@
+"""A feature matcher for images of unknown difference in scale, whose features know one scale only."""
+
+from __future__ import annotations
+
+import logging
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from featreg import registry
+from featreg.errors import ParameterError
+from featreg.geometry import Similarity
+from featreg.geometry.robust import fit_consensus
+from featreg.interfaces import FailedFit, Matcher
+from featreg.pipeline.feature_matcher import FeatureMatcher
+from featreg.pipeline.trust import distinct
+from featreg.registry import register
+from featreg.runtime.timing import stage
+from featreg.sar.pyramid import to_base
+from featreg.types import Image, Matches
+
+logger = logging.getLogger(__name__)
+
+# Shorter sides than this hold too little to tell one scale from the next.
+SMALLEST = 64
+ITERATIONS = 800
+HALVED_SIDE = 256
+# Matches at a finer size are preferred where they have this share of the places.
+ENOUGH = 0.4
+# Alignments whose corners lie this near to each other, as a share of the diagonal, are one.
+NEAR = 0.15
+# A reduced pixel counts where at least this share of it, of 255, is data.
+WHOLE = 254
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """Matches at one ratio of the scales and one size, and the similarity on which so many distinct places agree."""
+
+    matches: Matches
+    model: Similarity
+    scale: float
+    size: float
+    places: int
+
+
+@register("scale-search")
+@dataclass(frozen=True)
+class ScaleSearch(Matcher):
+    """Features of both images at several ratios of their scales, of which the one with the largest consensus counts.
+
+    Parameters
+    ----------
+    n_features : at most so many features of each image in the final pass
+    trial_features : at most so many of each image at every ratio tried
+    detector, descriptor, nearest : names of the parts
+    patch : side in pixels of what is described, for descriptors that have this parameter
+    largest : ratios of the scales (secondary over reference) from 1 / `largest` to `largest` are sought
+    step : largest factor between neighbouring ratios
+    halvings : so many times both images are also tried at half the size before, while the shorter side stays 256 px
+    threshold : largest residual in reduced pixels of a match that counts
+    rivalry : no match is returned where another alignment has more than this share of the best one's places
+    seed : of the consensus
+
+    Raises
+    ------
+    ParameterError
+        An impossible value.
+
+    Notes
+    -----
+    Speckle that drowns a structure at full size is averaged away at half of it. At every ratio the image that has the
+    finer pixels is reduced to the other's, so that nothing is enlarged. A similarity is fitted to the matches; where
+    its scale is not that of the ratio tried (to within one step), its consensus does not count. Final passes at the
+    scale found, with all features, from full size down to that of the best trial, replace it where they agree with it
+    and have support enough. Index maps hardly tell an image from itself turned by half a turn, so that two alignments
+    can each have a consensus on a scene of fields or streets: then none is given.
+    """
+
+    n_features: int = 5000
+    trial_features: int = 2000
+    detector: str = "phase-congruency"
+    descriptor: str = "max-index-map"
+    nearest: str = "brute-force"
+    patch: float = 84.0
+    largest: float = 2.0
+    step: float = 1.3
+    halvings: int = 2
+    threshold: float = 4.0
+    rivalry: float = 0.6
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.n_features < 1 or self.trial_features < 1 or min(self.seed, self.halvings) < 0:
+            raise ParameterError(
+                "scale-search needs n_features >= 1, trial_features >= 1, halvings >= 0 and seed >= 0, got "
+                f"{self.n_features}, {self.trial_features}, {self.halvings} and {self.seed}"
+            )
+        if not (1 <= self.largest <= 16 and 1 < self.step <= 4 and self.threshold > 0 and 0 < self.rivalry <= 1):
+            raise ParameterError(
+                "scale-search needs largest from 1 to 16, step above 1 and up to 4, threshold > 0 and rivalry above 0 "
+                f"and up to 1, got {self.largest}, {self.step}, {self.threshold} and {self.rivalry}"
+            )
+
+    @property
+    def ratios(self) -> tuple[float, ...]:
+        """The ratios that are tried, from small to large, 1 among them."""
+        half = math.ceil(math.log(self.largest) / math.log(self.step) - 1e-9)
+        return tuple(self.largest ** (i / half) for i in range(-half, half + 1)) if half else (1.0,)
+
+    def match(self, reference: Image, secondary: Image) -> Matches:
+        """Return the matches at the best scale; empty where no scale has a consensus, or where two rival ones do."""
+        trials = [
+            self._at(reference, secondary, ratio, size, self.trial_features)
+            for size in self._sizes(reference, secondary)
+            for ratio in self.ratios
+        ]
+        found = sorted((t for t in trials if t is not None), key=lambda t: -t.places)
+        if not found:
+            return Matches.empty()
+        best = found[0]
+        rival = max((t.places for t in found if not _agree(t.model, best.model, reference)), default=0)
+        if rival > self.rivalry * best.places:
+            logger.info("no matches: %d places agree on one alignment, %d on quite another", best.places, rival)
+            return Matches.empty()
+        # The finer the pixels, the more precise are the matches, as long as the structures are still seen in them.
+        for size in [s for s in self._sizes(reference, secondary) if s >= best.size]:
+            final = self._at(reference, secondary, best.scale, size, self.n_features)
+            least = best.places if size == best.size else ENOUGH * best.places
+            if final is not None and final.places > least and _agree(final.model, best.model, reference):
+                return final.matches
+        return best.matches
+
+    def _sizes(self, reference: Image, secondary: Image) -> list[float]:
+        """To what share of their size both images are reduced."""
+        shorter = min(*reference.shape, *secondary.shape)
+        return [0.5**i for i in range(self.halvings + 1) if i == 0 or shorter * 0.5**i >= HALVED_SIDE]
+
+    def _at(self, reference: Image, secondary: Image, ratio: float, size: float, budget: int) -> _Trial | None:
+        """What is found at one ratio, None where no similarity of about that scale has a consensus."""
+        first = _reduced(reference, size * min(ratio, 1.0))
+        second = _reduced(secondary, size * min(1.0 / ratio, 1.0))
+        if min(*first.shape, *second.shape) < SMALLEST:
+            return None
+        found = self._matcher(budget).match(first, second)
+        here, there = to_base(found.reference_xy, first, reference), to_base(found.secondary_xy, second, secondary)
+        with stage("scale"):
+            rng = np.random.default_rng(self.seed)
+            reach = self.threshold * max(ratio, 1.0) / size
+            model, inliers = fit_consensus(Similarity, here, there, threshold=reach, rng=rng, iterations=ITERATIONS)
+        if isinstance(model, FailedFit):
+            return None
+        scale = math.sqrt(abs(np.linalg.det(model.matrix[:2, :2])))
+        if not ratio / self.step <= scale <= ratio * self.step:
+            return None
+        enlarged = None if found.scale_ratio is None else found.scale_ratio * ratio
+        matches = replace(found, reference_xy=here, secondary_xy=there, scale_ratio=enlarged)
+        return _Trial(matches, model, scale, size, distinct(here[inliers], there[inliers]))
+
+    def _matcher(self, budget: int) -> FeatureMatcher:
+        return FeatureMatcher(
+            registry.create("detector", self.detector, **_taken("detector", self.detector, n_features=budget)),
+            registry.create("descriptor", self.descriptor, **_taken("descriptor", self.descriptor, patch=self.patch)),
+            registry.create("nearest", self.nearest),
+            budget,
+        )
+
+
+def _taken(kind: str, name: str, **parameters: float) -> dict[str, float]:
+    """Those of the parameters that the plugin has."""
+    known = registry.entry(kind, name).parameters
+    return {key: value for key, value in parameters.items() if key in known}
+
+
+def _agree(one: Similarity, other: Similarity, reference: Image) -> bool:
+    """Whether two models map the corners of the reference to about the same places."""
+    height, width = reference.shape
+    corners = np.array([[0, 0], [width, 0], [0, height], [width, height]], np.float64)
+    there = other(corners)
+    size = float(np.hypot(*(there[3] - there[0])))
+    return bool(np.hypot(*(one(corners) - there).T).max() <= NEAR * size)
+
+
+def _reduced(image: Image, factor: float) -> Image:
+    """The amplitude image `factor` times as large, by area weighting; kept with the image."""
+    height, width = (max(1, round(n * factor)) for n in image.shape)
+    if (height, width) == image.shape:
+        return image
+    return image.derive(_reduced_to, height=height, width=width)
+
+
+def _reduced_to(image: Image, height: int, width: int) -> Image:
+    import cv2
+
+    size = (width, height)
+    pixels = np.asarray(cv2.resize(image.amplitude, size, interpolation=cv2.INTER_AREA), np.float32)
+    mask = np.ones(pixels.shape, np.bool_)
+    if not image.all_valid:
+        share = cv2.resize(image.mask.view(np.uint8) * np.uint8(255), size, interpolation=cv2.INTER_AREA)
+        mask = np.asarray(share >= WHOLE)
+        pixels = np.where(mask, pixels, np.float32(0))
+    return Image(pixels, mask, source_dtype=image.source_dtype)
