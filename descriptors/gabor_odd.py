@@ -39,7 +39,7 @@ class GaborOdd(Descriptor):
     Notes
     -----
     S. Paul, U. C. Pati, "A Gabor Odd Filter-Based Ratio Operator for SAR Image Matching", IEEE Geosci. Remote Sens.
-    Lett. 16 (2019) 397, DOI 10.1109/LGRS.2018.2872979. The letter leaves open to us, and our reading is: the edge
+    Lett. 16 (2019) 397, DOI 10.1109/LGRS.2018.2872979. The paper leaves open to us, and our reading is: the edge
     response of a direction is the logarithm of the ratio of the means under the two halves of the odd filter (so that a
     ratio and its inverse count alike), the gradient its projection on the axes (see `featreg.sar.gradients.gabor`);
     several scales are joined by adding their normalised histograms, which keeps the length and counts every scale

@@ -107,7 +107,7 @@ _TARGETS_TRUST = {
 _REFINED_TRUST = {"uncertainty_px": 0.06, "distortion_px": 0.3, "dilution": 0.9}
 # Centroids are associated over the whole image, so that chance has all of it.
 _SIGNIFICANCE = {"c": -12.0, "cc": -20.0}
-# The letter's threshold leaves few tie points, and a single pass pulls the rotation towards 0: results whose own error
+# The published threshold leaves few tie points, and a single pass pulls the rotation towards 0: results whose own error
 # is above this were wrong by 0.25 to 1.2 degrees.
 _PAPER_TRUST = {"least_inliers": 8, "uncertainty_px": 0.3, "dilution": 1.0}
 # The first fit is to a consensus, so that half of the tie points may be wrong.
@@ -132,7 +132,7 @@ def _targets(tie_points: str, summary: str, *, refine: bool) -> Preset:
 
 
 def _paper_obcls(matcher: Part, summary: str, *, cancellation: bool = True) -> Preset:
-    """Tie points, outlier cancellation and constrained least squares by the letter of Pallotta et al."""
+    """Tie points, outlier cancellation and constrained least squares as published by Pallotta et al."""
     return Preset(
         summary,
         matcher=matcher,

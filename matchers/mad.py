@@ -24,7 +24,7 @@ class Mad(Filter):
     Parameters
     ----------
     cancellation : whether to cancel at all; if not, every tie point is kept
-    threshold : "mad" (kappa times the scaled median absolute deviation, the letter of the paper's Eq. 4) or
+    threshold : "mad" (kappa times the scaled median absolute deviation, as published, Eq. 4) or
         "median+mad" (the same above the median of the errors)
     start : of what the first fit is: "all" tie points, or the largest "consensus" among them within `start_px`
     start_px : px

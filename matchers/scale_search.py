@@ -26,7 +26,7 @@ logger = logging.getLogger(__name__)
 SMALLEST = 64
 ITERATIONS = 800
 HALVED_SIDE = 256
-# Matches at a finer size are preferred where they have this share of the places.
+# Matches at a finer size are preferred where they have this share of the cells.
 ENOUGH = 0.4
 # Alignments whose corners lie this near to each other, as a share of the diagonal, are one.
 NEAR = 0.15
@@ -36,13 +36,13 @@ WHOLE = 254
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """Matches at one ratio of the scales and one size, and the similarity on which so many distinct places agree."""
+    """Matches at one ratio of the scales and one size, and the similarity on which so many distinct cells agree."""
 
     matches: Matches
     model: Similarity
     scale: float
     size: float
-    places: int
+    cells: int
 
 
 @register("scale-search")
@@ -60,7 +60,7 @@ class ScaleSearch(Matcher):
     step : largest factor between neighbouring ratios
     halvings : so many times both images are also tried at half the size before, while the shorter side stays 256 px
     threshold : largest residual in reduced pixels of a match that counts
-    rivalry : no match is returned where another alignment has more than this share of the best one's places
+    ambiguity : no match is returned where another alignment has more than this share of the best one's cells
     seed : of the consensus
 
     Raises
@@ -88,7 +88,7 @@ class ScaleSearch(Matcher):
     step: float = 1.3
     halvings: int = 2
     threshold: float = 4.0
-    rivalry: float = 0.6
+    ambiguity: float = 0.6
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -97,10 +97,10 @@ class ScaleSearch(Matcher):
                 "scale-search needs n_features >= 1, trial_features >= 1, halvings >= 0 and seed >= 0, got "
                 f"{self.n_features}, {self.trial_features}, {self.halvings} and {self.seed}"
             )
-        if not (1 <= self.largest <= 16 and 1 < self.step <= 4 and self.threshold > 0 and 0 < self.rivalry <= 1):
+        if not (1 <= self.largest <= 16 and 1 < self.step <= 4 and self.threshold > 0 and 0 < self.ambiguity <= 1):
             raise ParameterError(
-                "scale-search needs largest from 1 to 16, step above 1 and up to 4, threshold > 0 and rivalry above 0 "
-                f"and up to 1, got {self.largest}, {self.step}, {self.threshold} and {self.rivalry}"
+                "scale-search needs largest from 1 to 16, step above 1 and up to 4, threshold > 0 and ambiguity above "
+                f"0 and up to 1, got {self.largest}, {self.step}, {self.threshold} and {self.ambiguity}"
             )
 
     @property
@@ -116,19 +116,19 @@ class ScaleSearch(Matcher):
             for size in self._sizes(reference, secondary)
             for ratio in self.ratios
         ]
-        found = sorted((t for t in trials if t is not None), key=lambda t: -t.places)
+        found = sorted((t for t in trials if t is not None), key=lambda t: -t.cells)
         if not found:
             return Matches.empty()
         best = found[0]
-        rival = max((t.places for t in found if not _agree(t.model, best.model, reference)), default=0)
-        if rival > self.rivalry * best.places:
-            logger.info("no matches: %d places agree on one alignment, %d on quite another", best.places, rival)
+        rival = max((t.cells for t in found if not _agree(t.model, best.model, reference)), default=0)
+        if rival > self.ambiguity * best.cells:
+            logger.info("no matches: %d cells agree on one alignment, %d on quite another", best.cells, rival)
             return Matches.empty()
         # The finer the pixels, the more precise are the matches, as long as the structures are still seen in them.
         for size in [s for s in self._sizes(reference, secondary) if s >= best.size]:
             final = self._at(reference, secondary, best.scale, size, self.n_features)
-            least = best.places if size == best.size else ENOUGH * best.places
-            if final is not None and final.places > least and _agree(final.model, best.model, reference):
+            least = best.cells if size == best.size else ENOUGH * best.cells
+            if final is not None and final.cells > least and _agree(final.model, best.model, reference):
                 return final.matches
         return best.matches
 

@@ -11,11 +11,11 @@ GeometricModel
 """
 
 from featreg.geometry.base import GeometricModel, MatrixModel, decompose
+from featreg.geometry.cells import dilution, rigid_standard_errors, selection_cut
 from featreg.geometry.convert import as_model, local_linear, model_from_dict, model_from_matrix, model_to_dict
 from featreg.geometry.corrected import CorrectedModel
 from featreg.geometry.homography import Homography
 from featreg.geometry.matrix import Affine, Rigid, Similarity, Translation
-from featreg.geometry.places import dilution, rigid_standard_errors, selection_cut
 from featreg.geometry.polynomial import InverseModel, Polynomial2, Polynomial3
 from featreg.geometry.residual_field import ResidualField
 from featreg.geometry.uncertainty import (

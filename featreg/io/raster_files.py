@@ -176,7 +176,7 @@ def _whole(stamp: Stamp) -> Raster:
 
 
 @lru_cache(maxsize=64)
-def told_scale(stamp: Stamp, nodata: complex | None, band: int) -> str:
+def inferred_scale(stamp: Stamp, nodata: complex | None, band: int) -> str:
     """What real samples are, told from four strips over the scene as `featreg.io.as_image` does from all of them."""
     path = stamp[0]
     head = read_head(stamp, band)

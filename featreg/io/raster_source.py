@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from featreg.errors import InputError, ParameterError
 from featreg.io.masks import MaskLike, holds_nodata, inside_polygons, polygons_of
-from featreg.io.raster_files import CACHE_BYTES, Head, read_head, read_samples, stamp_of, told_scale
+from featreg.io.raster_files import CACHE_BYTES, Head, inferred_scale, read_head, read_samples, stamp_of
 from featreg.io.readers import Raster, gdal_dataset
 from featreg.io.scales import SCALES, complex_pixels, real_pixels
 from featreg.io.window import Window
@@ -93,7 +93,7 @@ class RasterSource:
         """What the samples are, told where it was not stated: "amplitude", "intensity", "db" or "complex"."""
         if self.is_complex:
             return "complex"
-        return self.scale or told_scale(stamp_of(self.path), self.nodata, self.band)
+        return self.scale or inferred_scale(stamp_of(self.path), self.nodata, self.band)
 
     def read(self, window: Window) -> Image:
         """Return the pixels of a window; those outside the scene are masked.

@@ -56,7 +56,7 @@ def real_pixels(
     negative = (values < 0) & valid
     below = int(negative.sum())
     if scale is None:
-        scale = _told_scale(values[valid], below, name) if below else "amplitude"
+        scale = _inferred_scale(values[valid], below, name) if below else "amplitude"
     elif below and scale != "db":
         valid &= ~negative
         level = logging.WARNING if content else logging.DEBUG  # once a scene, not once a window
@@ -97,7 +97,7 @@ def check_content(pixels: NDArray[Any], valid: BoolArray, name: str) -> None:
         raise InputError(_constant(name, first))
 
 
-def _told_scale(values: NDArray[Any], below: int, name: str) -> str:
+def _inferred_scale(values: NDArray[Any], below: int, name: str) -> str:
     """Return the scale of valid samples, `below` of them negative, where it can be told without a silent guess."""
     low, high = values.min(), values.max()
     share = below / values.size

@@ -22,7 +22,7 @@ from featreg.geometry import (
     refitted_covariance,
     regional_covariance,
 )
-from featreg.geometry.places import places
+from featreg.geometry.cells import cells
 from featreg.geometry.robust import irls
 from featreg.interfaces import FailedFit, Model
 from featreg.types import BoolArray, FloatArray, Gate, Matches
@@ -188,7 +188,7 @@ def _text(gate: Gate) -> str:
 
 def distinct(reference_xy: FloatArray, secondary_xy: FloatArray) -> int:
     """Number of tie points once those that share a cell of 6 px, in either image, count as one."""
-    return min(len(np.unique(places(xy, DISTINCT_PX))) for xy in (reference_xy, secondary_xy))
+    return min(len(np.unique(cells(xy, DISTINCT_PX))) for xy in (reference_xy, secondary_xy))
 
 
 def spread(xy: FloatArray, shape: tuple[int, int]) -> float:
@@ -236,7 +236,7 @@ def log10_chance(
 
 def _moves(matches: Matches) -> int:
     """Number of distinct (reference cell, secondary cell) pairs."""
-    pairs = np.column_stack([places(xy, DISTINCT_PX) for xy in (matches.reference_xy, matches.secondary_xy)])
+    pairs = np.column_stack([cells(xy, DISTINCT_PX) for xy in (matches.reference_xy, matches.secondary_xy)])
     order = np.lexsort(pairs.T)
     return int((np.diff(pairs[order], axis=0) != 0).any(axis=1).sum()) + 1 if len(pairs) else 0
 

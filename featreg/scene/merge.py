@@ -23,7 +23,7 @@ from featreg.types import BoolArray, FloatArray, Gate, IntArray, Matches
 FAR_PX = 6.0
 #: Tie points of a block that can speak for it, and how near to each other, in px, the displacements of half of them lie
 #: where they were not measured by correlation.
-WITNESSES, COHERENT_PX = 8, 2.0
+CHECK_POINTS, COHERENT_PX = 8, 2.0
 #: Fewest blocks of which every second one is left out of a fit; of fewer, every second tie point is.
 LEAST_FOR_CHESS = 4
 
@@ -157,13 +157,13 @@ def block_gates(
         kept = kept & mask
     here, there = merged.matches.reference_xy[kept], merged.matches.secondary_xy[kept]
     off = float(np.median(np.hypot(*(prior(here) - there).T))) if len(here) else None
-    most = 0.6 * prior.uncertainty_px
+    limit = 0.6 * prior.uncertainty_px
     errors = block_errors(merged, model, len(blocks))
     known = errors[np.isfinite(errors)]
     local = float(np.percentile(known, 95, method="higher")) if len(known) else None
     return {
         "search": Gate(
-            off, off is not None and off <= most, high=most,
+            off, off is not None and off <= limit, high=limit,
             meaning="median distance of the tie points from where the blocks were searched, px",
         ),
         "blocks": Gate(
@@ -190,11 +190,11 @@ def held_out_rmse(
     terrain, the final tie points alone would not tell. None where it cannot be told.
     """
     chess = np.array([(b.row + b.col) % 2 for b in blocks], np.int64)
-    witnesses, theirs = merged.refined, merged.refined_blocks
-    if not len(witnesses):
-        witnesses, theirs = matches, owners
-    near = model.residuals(witnesses.reference_xy, witnesses.secondary_xy) <= FAR_PX
-    witnesses, theirs = witnesses.take(np.flatnonzero(near)), theirs[near]
+    check_points, theirs = merged.refined, merged.refined_blocks
+    if not len(check_points):
+        check_points, theirs = matches, owners
+    near = model.residuals(check_points.reference_xy, check_points.secondary_xy) <= FAR_PX
+    check_points, theirs = check_points.take(np.flatnonzero(near)), theirs[near]
     mine, other = chess[owners], chess[theirs]
     if len(blocks) < LEAST_FOR_CHESS:
         mine, other = np.arange(len(mine)) % 2, np.arange(len(other)) % 2
@@ -204,7 +204,7 @@ def held_out_rmse(
         half = type(model).from_estimate(matches.reference_xy[fitted], matches.secondary_xy[fitted])
         if isinstance(half, FailedFit) or not left.any():
             return None
-        squares.append(half.residuals(witnesses.reference_xy[left], witnesses.secondary_xy[left]) ** 2)
+        squares.append(half.residuals(check_points.reference_xy[left], check_points.secondary_xy[left]) ** 2)
     return float(np.sqrt(np.mean(np.concatenate(squares))))
 
 
@@ -225,7 +225,7 @@ def block_errors(merged: Merged, model: Model, count: int) -> FloatArray:
     for block in np.unique(owners).tolist():
         mine = away[owners == block]
         mine = mine[np.isfinite(mine).all(axis=1)]
-        if len(mine) < WITNESSES:
+        if len(mine) < CHECK_POINTS:
             continue
         alike = np.hypot(*(mine - np.median(mine, axis=0)).T) <= COHERENT_PX
         if refined or alike.mean() > 0.5:

@@ -258,7 +258,7 @@ def _ingredients(
         "parameters": pipeline.parameters,
         "model": None if model is None else [model[0].parameters, model[1]],
         "seed": job.seed,
-        "most": job.most,
+        "n_features": job.n_features,
         "halo": job.halo,
         "prior": [prior.record(), base.parameters if isinstance(base, Transfer | Model) else repr(base)],
         "heights": options.heights().to_dict(),

@@ -47,7 +47,7 @@ class Job:
     model : class of the model to be fitted over all blocks, which filters may ask for
     refine : the refinement, or None
     seed : of everything random
-    most : most tie points of a block
+    n_features : most tie points of a block
     halo : pixels read beyond a block on each side
     own_process : whether the work is done in a process of its own, whose library threads are ours to set
     """
@@ -59,7 +59,7 @@ class Job:
     model: type[Model]
     refine: Refine | None
     seed: int
-    most: int
+    n_features: int
     halo: int
     own_process: bool = False
 
@@ -115,10 +115,10 @@ def _matched(job: Job, prior: Prior, block: Block) -> BlockResult:
         return BlockResult(block.index, "skipped", "outside the secondary")
     with stage("read"):
         reference = job.reference.read(here)
-        why = emptiness(reference, "reference")
+        why = skip_reason(reference, "reference")
         if not why:
             secondary = job.secondary.read(there)
-            why = emptiness(secondary, "secondary")
+            why = skip_reason(secondary, "secondary")
     if why:
         return BlockResult(block.index, "skipped", why, window=there)
     found = job.matcher.match(reference, secondary)
@@ -147,7 +147,7 @@ def _matched(job: Job, prior: Prior, block: Block) -> BlockResult:
     matches = _moved(found, here, there)
     mine = np.flatnonzero(block.window.holds(matches.reference_xy))
     # Best first, so that the cap leaves out the least confident; equal scores stay in their order.
-    mine = np.sort(mine[np.argsort(-np.nan_to_num(matches.score[mine]), kind="stable")][: job.most])
+    mine = np.sort(mine[np.argsort(-np.nan_to_num(matches.score[mine]), kind="stable")][: job.n_features])
     return BlockResult(
         block.index,
         "done",
@@ -172,7 +172,7 @@ def search_window(prior: Prior, here: Window, shape: tuple[int, int]) -> Window 
     return Window(low[0], low[1], high[0] - low[0] + 1, high[1] - low[1] + 1).within(shape)
 
 
-def emptiness(image: Image, role: str) -> str:
+def skip_reason(image: Image, role: str) -> str:
     """Why a window holds nothing to match, or an empty text."""
     import cv2
 

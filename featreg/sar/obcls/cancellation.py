@@ -43,7 +43,7 @@ def cancelled(
     errors_of : given which equations to use, fits them and returns the (count,) absolute errors of all, px; None where
         they cannot be fitted
     count : number of equations
-    threshold : "mad" (eta is kappa times the scaled median absolute deviation of the errors, the letter of Eq. 4) or
+    threshold : "mad" (eta is kappa times the scaled median absolute deviation of the errors, as published, Eq. 4) or
         "median+mad" (the same above the median of the errors)
     first, last, step : kappa falls from first to last
     least : fewest equations that may remain; a step that would leave fewer adds the median to eta too
@@ -63,8 +63,8 @@ def cancelled(
     Eq. 3 and 4 of L. Pallotta, G. Giunta, C. Clemente, J. J. Soraghan, "SAR coregistration by robust selection of
     extended targets and iterative outlier cancellation", IEEE Geosci. Remote Sens. Lett. Departures: eta is at
     least a millionth of a pixel, so that errors which are all zero cancel nothing; and `least`, for where
-    all errors are about as large, the letter's eta lies below all of them.
-    Errors are lengths, so their median is not near 0: the letter's threshold cuts off a part of the good equations at
+    all errors are about as large, the published eta lies below all of them.
+    Errors are lengths, so their median is not near 0: the published threshold cuts off a part of the good equations at
     every step and leaves about a third of them, the most accurate ones of the current fit.
     """
     check(threshold, first, last, step)

@@ -1,4 +1,4 @@
-"""How well tie points determine a model where neighbours share their errors: all that lie in one place count as one."""
+"""How well tie points determine a model where neighbours share their errors: all that lie in one cell count as one."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from featreg.interfaces import FailedFit, Model
 from featreg.types import FloatArray, IntArray
 
 #: Side of the square cells in which tie points share their errors, px: that of the correlated patches, which overlap.
-PLACE_PX = 96.0
+CELL_PX = 96.0
 #: Where between the longest residual that was kept and the next one the limit of the selection is taken to lie.
 CUT_SHARE = 0.3
 #: Largest standard deviation that a selection tells of, over its limit.
@@ -22,14 +22,14 @@ WIDEST = 2.0
 FAR = 1e7
 
 
-def places(xy: FloatArray, side: float = PLACE_PX) -> IntArray:
+def cells(xy: FloatArray, side: float = CELL_PX) -> IntArray:
     """Return the number of the cell of `side` px in which each of (M, 2) points lies, (M,) int64."""
     x, y = np.floor(xy / side).astype(np.int64).T
     return np.asarray(y * (1 << 24) + x)
 
 
 def dilution(model: Model, reference_xy: FloatArray, secondary_xy: FloatArray, *, at: ArrayLike) -> float:
-    """Return the error of a model over points, root mean square, for an error of one pixel per place of its tie points.
+    """Return the error of a model over points, root mean square, for an error of one pixel per cell of its tie points.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def dilution(model: Model, reference_xy: FloatArray, secondary_xy: FloatArray, *
 
     Returns
     -------
-    float, no unit; NaN where the places are too few for the model
+    float, no unit; NaN where the cells are too few for the model
 
     Raises
     ------
@@ -48,15 +48,15 @@ def dilution(model: Model, reference_xy: FloatArray, secondary_xy: FloatArray, *
 
     Notes
     -----
-    It depends only on where the tie points lie, not on how well they agree: errors that a whole place has in common
-    (layover, a structure seen from another side) leave no residual where the places are few.
+    It depends only on where the tie points lie, not on how well they agree: errors that a whole cell has in common
+    (layover, a structure seen from another side) leave no residual where the cells are few.
     """
     if not len(reference_xy):
         return math.nan
-    _, place = np.unique(places(reference_xy), return_inverse=True)
-    count = np.bincount(place)
+    _, cell = np.unique(cells(reference_xy), return_inverse=True)
+    count = np.bincount(cell)
     here, there = (
-        np.column_stack([np.bincount(place, xy[:, i]) / count for i in (0, 1)]) for xy in (reference_xy, secondary_xy)
+        np.column_stack([np.bincount(cell, xy[:, i]) / count for i in (0, 1)]) for xy in (reference_xy, secondary_xy)
     )
     covariance = prediction_covariance(model, here, there, at=at, sigma=1.0)
     if isinstance(covariance, FailedFit):
@@ -85,12 +85,12 @@ def rigid_standard_errors(
 
     Returns
     -------
-    The standard errors, or a `FailedFit` where fewer than three places hold tie points. `dof` is the number of places
+    The standard errors, or a `FailedFit` where fewer than three cells hold tie points. `dof` is the number of cells
     less one; intervals take Student's t of that many.
 
     Notes
     -----
-    The jackknife over places counts what neighbours share. Selection by residuals makes those of the rest too small
+    The jackknife over cells counts what neighbours share. Selection by residuals makes those of the rest too small
     and the fit too sure: with Gaussian errors of standard deviation sigma cut off at length c and u = c^2 / (2 sigma^2)
     the mean square of what is left is ``2 sigma^2 (1 - (1 + u) exp(-u)) / (1 - exp(-u))`` = 2 m, and the variance of
     an estimate that rests on them is (sigma^2 / m)^2 times the one they show (that of an M-estimate with hard
@@ -98,7 +98,7 @@ def rigid_standard_errors(
     """
     centre = np.asarray(at, np.float64)
     points = np.stack([centre, centre + np.array([FAR, 0.0])])
-    covariance = regional_covariance(model, reference_xy, secondary_xy, places(reference_xy), weights, at=points)
+    covariance = regional_covariance(model, reference_xy, secondary_xy, cells(reference_xy), weights, at=points)
     if isinstance(covariance, FailedFit):
         return covariance
     squares = model.residuals(reference_xy, secondary_xy) ** 2
@@ -106,7 +106,7 @@ def rigid_standard_errors(
     wider = _variance_before_selection(shown, cut) / shown if shown > 0 else 1.0
     sx, sy = (wider * math.sqrt(value) for value in np.diag(covariance[0]).tolist())
     rotation = wider * math.sqrt(float(np.trace(covariance[1]))) / FAR
-    dof = len(np.unique(places(reference_xy))) - 1
+    dof = len(np.unique(cells(reference_xy))) - 1
     return RigidUncertainty(math.degrees(rotation), (sx, sy), math.sqrt(wider * shown), dof)
 
 

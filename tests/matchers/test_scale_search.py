@@ -82,7 +82,7 @@ def test_nothing_in_nothing_out() -> None:
 
 
 @pytest.mark.parametrize(
-    "parameters", [{"largest": 0.5}, {"step": 1.0}, {"threshold": 0.0}, {"rivalry": 0.0}, {"n_features": 0}]
+    "parameters", [{"largest": 0.5}, {"step": 1.0}, {"threshold": 0.0}, {"ambiguity": 0.0}, {"n_features": 0}]
 )
 def test_impossible_parameters_are_refused(parameters: dict[str, float]) -> None:
     with pytest.raises(ParameterError, match="scale-search needs"):

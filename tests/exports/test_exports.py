@@ -241,7 +241,7 @@ def test_colmap_database_by_its_documented_schema(tmp_path: Path) -> None:
 def test_every_format_is_listed_everywhere() -> None:
     assert tuple(FORMATS) == NAMES
     assert set(FORMATS) - {"rpc"} == set(PIXEL_OFFSETS)
-    modules = {p.stem for p in Path(__file__).parents[1].joinpath("featreg", "exports").glob("*.py")}
+    modules = {p.stem for p in Path(__file__).parents[2].joinpath("featreg", "exports").glob("*.py")}
     assert modules == {*FORMATS, "__init__", "content", "formats", "reading"}
 
 
