@@ -13,7 +13,7 @@ import logging
 import pkgutil
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from importlib.metadata import entry_points
 from typing import Any, Literal, TypeVar, overload
@@ -59,6 +59,7 @@ class Entry:
     """One registered plugin: how to make it, which parameters it takes, or why it cannot be had.
 
     One that is `on_demand` can be made all the same: a parameter or a download supplies what is missing.
+    `block_parameters` and `compiled` are those of `featreg.interfaces.Plugin`.
     """
 
     kind: str
@@ -69,6 +70,8 @@ class Entry:
     summary: str = ""
     unavailable: str = ""
     on_demand: bool = False
+    block_parameters: Mapping[str, Any] = field(default_factory=dict)
+    compiled: bool = True
 
 
 _entries: dict[tuple[str, str], Entry] = {}
@@ -93,7 +96,8 @@ def register(name: str, *, unavailable: str = "") -> Callable[[type[T]], type[T]
         if len(kinds) != 1:
             raise PluginError(f"plugin '{name}' ({cls.__module__}) must extend exactly one of {', '.join(KINDS)}")
         defaults = {} if kinds[0] == "model" else _defaults(name, cls)
-        _add(Entry(kinds[0], name, cls, cls.__module__, defaults, _first_line(cls), unavailable))
+        said = {key: getattr(cls, key) for key in ("block_parameters", "compiled") if hasattr(cls, key)}
+        _add(Entry(kinds[0], name, cls, cls.__module__, defaults, _first_line(cls), unavailable, **said))
         return cls
 
     return add
@@ -109,12 +113,27 @@ def register_family(
     module: str,
     unavailable: str = "",
     on_demand: bool = False,
+    block_parameters: Mapping[str, Any] | None = None,
+    compiled: bool = True,
 ) -> None:
     """Add one member of a third-party family from a table: `factory(**parameters)` makes the plugin.
 
-    `unavailable` and `on_demand` are those of `Entry`.
+    The other arguments are those of `Entry`.
     """
-    _add(Entry(kind, name, factory, module, dict(parameters), summary, unavailable, on_demand))
+    _add(
+        Entry(
+            kind,
+            name,
+            factory,
+            module,
+            dict(parameters),
+            summary,
+            unavailable,
+            on_demand,
+            dict(block_parameters or {}),
+            compiled,
+        )
+    )
 
 
 def available(kind: str) -> list[str]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
@@ -17,12 +18,10 @@ from numpy.typing import ArrayLike
 
 from featreg.errors import InputError, ParameterError
 from featreg.interfaces import FailedFit
+from featreg.registry import entries
 from featreg.results.registration import Registration
 from featreg.study.truth import Truth, TruthLike, read_truth
 from featreg.types import BoolArray, FloatArray, points
-
-#: Filters that look at all tie points at once; NM is counted before them.
-GLOBAL_STAGES = ("fsc", "ransac", "mad", "refine")
 
 
 @dataclass(frozen=True)
@@ -81,8 +80,8 @@ def evaluate(
     registration : what `match` returned, or was read from its JSON
     truth : see `featreg.study.truth.read_truth`
     threshold : px, greatest distance of a correct match
-    stage : a filter's name, "putative" or "inliers"; by default "gms" where the result has it, else the last filter
-        other than FSC, RANSAC, MAD and refinement, else all putative matches
+    stage : a filter's name, "putative" or "inliers"; by default the last before the first filter that looks at all tie
+        points at once (FSC, RANSAC, MAD, ...), else all putative matches
     image_shape : (H, W) of the reference, where the result does not say it
 
     Returns
@@ -128,9 +127,19 @@ def evaluate(
 
 
 def default_stage(registration: Registration) -> str:
-    """Return the stage at which NM is counted: "gms", else the last filter before the global ones, else "putative"."""
-    local = [name for name in registration.stages if name not in GLOBAL_STAGES]
-    return "gms" if "gms" in local else local[-1] if local else "putative"
+    """Return the stage at which NM is counted: the last before the first global filter, else "putative"."""
+    local = list(takewhile(lambda name: not _is_global(registration, name), registration.stages))
+    return local[-1] if local else "putative"
+
+
+def _is_global(registration: Registration, stage: str) -> bool:
+    """Whether a stage looks at all tie points at once, as the result says, or the registry where it does not."""
+    said = registration.provenance.get("global_filters")
+    if stage == "refine":
+        return True
+    if said is not None:
+        return stage in said
+    return any(entry.name == stage and not getattr(entry.factory, "local", False) for entry in entries("filter"))
 
 
 def stage_mask(registration: Registration, stage: str | None = None) -> BoolArray:

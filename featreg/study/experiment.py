@@ -16,7 +16,7 @@ from featreg.errors import FeatregError, ParameterError
 from featreg.study.engine import Run, run_jobs
 from featreg.study.jobs import Job, Method, Pair
 from featreg.study.metrics import STANDARD, check_metrics, metric_of
-from featreg.study.prediction_cache import NOT_OF_PIPELINE, PredictionCache
+from featreg.study.prediction_cache import PredictionCache
 from featreg.study.protocol import Protocol
 from featreg.study.study import Study
 
@@ -125,12 +125,11 @@ class Experiment:
 
     def check(self) -> None:
         """Build every method and read every truth, so that a mistake shows before anything is computed."""
-        from featreg.pipeline.assembly import assemble
+        from featreg.matching import check_keywords
 
         for label, method in self.labelled().items():
-            kept = {key: value for key, value in method.keywords.items() if key not in NOT_OF_PIPELINE}
             try:
-                assemble(**kept)
+                check_keywords(method.keywords)
             except FeatregError as error:
                 raise type(error)(f"method '{label}': {error}" if label not in str(error) else str(error)) from error
         self.resolved()

@@ -171,14 +171,14 @@ def _from_geolocation(height: str, images: tuple[Any, Any] | None) -> Truth:
     from featreg.geolocation.heights import ConstantHeight, DemHeights, Heights
     from featreg.geolocation.sensors import sensor_of
     from featreg.geolocation.transfer import Transfer
-    from featreg.io import as_image
+    from featreg.io.raster_source import open_source
 
     if images is None:
         raise InputError(f"truth '{GEOLOCATION}' needs the two images, and they are not known here")
     sensors = []
     for source in images:
-        image = as_image(source)
-        sensors.append(sensor_of(image.geolocation, image.shape, image.name))
+        opened = open_source(source)
+        sensors.append(sensor_of(opened.geolocation, opened.shape, opened.name))
     metres = _number(height) if height else 0.0
     heights: Heights = DemHeights(height) if metres is None else ConstantHeight(metres)
     over = f"ground at {metres:g} m" if metres is not None else Path(height).name
