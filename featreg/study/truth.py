@@ -257,7 +257,7 @@ def _from_text(path: Path, what: str) -> Truth:
 def _from_tie_points(
     path: Path, what: str, reference: str | Path | None = None, secondary: str | Path | None = None
 ) -> Truth:
-    from featreg.exports.reading import read_tie_points
+    from featreg.exports.formats import read_tie_points
 
     matches = read_tie_points(path, reference=reference, secondary=secondary)
     return _from_marked(np.hstack([matches.reference_xy, matches.secondary_xy]), what)
