@@ -12,8 +12,8 @@ import numpy as np
 from featreg.errors import FeatregError
 from featreg.geometry import decompose, local_linear
 from featreg.interfaces import FailedFit
+from featreg.report.data import ReportEntry, ReportPair, ReportStudy, ReportSweep, ReportTable
 from featreg.report.pictures import BUDGET, Picture, picture
-from featreg.report.study import ReportEntry, ReportPair, ReportStudy, ReportSweep, ReportTable
 from featreg.report.tie_points import is_affine, lattice, tie_points
 from featreg.results.json_file import plain
 from featreg.results.registration import Registration
