@@ -178,12 +178,12 @@ def _model(registration: Registration, size: tuple[int, int] | None) -> list[lis
     lines = [["model", type(model).__name__]]
     if size is not None:
         centre = (np.array(size, np.float64) - 1) / 2
-        rotation, scale, anisotropy, _ = decompose(local_linear(model, centre))
+        linear = decompose(local_linear(model, centre))
         dx, dy = (np.asarray(model(centre[None]))[0] - centre).tolist()
         lines += [
-            ["rotation", f"{rotation:+.3f}°"],
-            ["scale", f"{scale:.5f}"],
-            ["anisotropy", f"{anisotropy:.4f}"],
+            ["rotation", f"{linear.rotation_deg:+.3f}°"],
+            ["scale", f"{linear.scale:.5f}"],
+            ["anisotropy", f"{linear.anisotropy:.4f}"],
             ["shift at the centre", f"{dx:+.2f}, {dy:+.2f} px"],
         ]
     if registration.inliers.any():

@@ -14,17 +14,18 @@ from typing import Any
 import numpy as np
 
 from featreg.errors import ParameterError, UnknownNameError, suggest
+from featreg.geometry.cells import spread
 from featreg.interfaces import FailedFit
 from featreg.results.json_file import plain
 from featreg.results.registration import Registration
 from featreg.study.evaluation import (
     Scores,
     area_under_curve,
+    computing_time,
     evaluate,
     match_errors,
     matching_accuracy_curve,
     repeatable,
-    spread,
     stage_mask,
 )
 from featreg.study.truth import Truth
@@ -188,7 +189,7 @@ def _blocks(case: Case) -> float:
 
 
 def _act(case: Case) -> float | None:
-    return None if case.act is None else float(case.act["total"] if "total" in case.act else sum(case.act.values()))
+    return None if case.act is None else computing_time(case.act)
 
 
 def _recall(case: Case) -> float | None:
