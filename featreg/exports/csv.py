@@ -22,19 +22,28 @@ def write(content: Content, path: Path) -> None:
 
 
 def read(path: Path) -> Matches:
-    """Read columns under their names, or four bare ones: separated by commas, semicolons or blanks, # a comment."""
+    """Read columns under their names, or four bare ones."""
+    names, rows = table_of(path)
+    if not names:
+        return matches_of_array(numbers(rows))
+    wanted = [i for i, name in enumerate(names) if name in KNOWN]
+    values = numbers([[row[i] for i in wanted] for row in rows]).reshape(len(rows), len(wanted))
+    return matches_of({names[i]: values[:, k] for k, i in enumerate(wanted)})
+
+
+def table_of(path: Path) -> tuple[list[str], list[list[str]]]:
+    """Return the columns' names, none where they are bare, and the rows of a table with commas, semicolons or blanks.
+
+    What follows a # is a comment.
+    """
     lines = [line.split("#")[0].strip() for line in lines_of(path)]
     cells = [
         [c.strip() for c in re.split(r"[,;]" if re.search("[,;]", line) else r"\s+", line)] for line in lines if line
     ]
     if not cells:
         raise InputError("is empty")
-    head, *rows = cells
-    if not any(re.search("[A-Za-z_]{3}", cell) and cell.lower() not in ("nan", "inf") for cell in head):
-        return matches_of_array(numbers(cells))
-    wanted = [i for i, name in enumerate(head) if name in KNOWN]
-    values = numbers([[row[i] for i in wanted] for row in rows]).reshape(len(rows), len(wanted))
-    return matches_of({head[i]: values[:, k] for k, i in enumerate(wanted)})
+    named = any(re.search("[A-Za-z_]{3}", cell) and cell.lower() not in ("nan", "inf") for cell in cells[0])
+    return (cells[0], cells[1:]) if named else ([], cells)
 
 
 def _texts(values: NDArray[Any]) -> list[str]:
