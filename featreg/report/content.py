@@ -17,13 +17,12 @@ from featreg.report.pictures import BUDGET, Picture, picture
 from featreg.report.tie_points import is_affine, lattice, tie_points
 from featreg.results.json_file import plain
 from featreg.results.registration import Registration
-from featreg.study.evaluation import default_stage, match_errors, matching_accuracy_curve, stage_mask
+from featreg.study.evaluation import CURVE, default_stage, match_errors, matching_accuracy_curve, stage_mask
 from featreg.study.truth import Truth
 from featreg.types import FloatArray
 
 #: Tie points of one result that are kept at most, and at least; base64 letters of all of them together.
 MOST, LEAST, LETTERS = 8000, 200, 9_400_000
-CURVE = tuple(range(1, 11))
 
 
 def content(study: ReportStudy) -> tuple[dict[str, Any], dict[str, str]]:
@@ -232,7 +231,7 @@ def _curves(study: ReportStudy, methods: list[str], errors: Mapping[int, FloatAr
                 curves.append(np.zeros(len(CURVE)))
             else:
                 rows = stage_mask(registration, entry.stage or default_stage(registration))
-                curves.append(matching_accuracy_curve(distance[rows], CURVE))
+                curves.append(matching_accuracy_curve(distance[rows]))
         if curves:
             found[method] = plain(np.mean(curves, axis=0).round(5))
     return found

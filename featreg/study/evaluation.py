@@ -24,6 +24,8 @@ from featreg.types import BoolArray, FloatArray, points
 
 #: Filters that look at all tie points at once; NM is counted before them.
 GLOBAL_STAGES = ("fsc", "ransac", "mad", "refine")
+#: Thresholds of the mean matching accuracy curve, px.
+CURVE = tuple(range(1, 11))
 
 
 @dataclass(frozen=True)
@@ -285,7 +287,7 @@ def area_under_curve(errors: ArrayLike, limit: float) -> float:
     return float(np.mean(np.maximum(0.0, 1 - array / limit))) if len(array) else 0.0
 
 
-def matching_accuracy_curve(errors: ArrayLike, thresholds: Sequence[float] = tuple(range(1, 11))) -> FloatArray:
+def matching_accuracy_curve(errors: ArrayLike, thresholds: Sequence[float] = CURVE) -> FloatArray:
     """Return the share of matches within each threshold (mean matching accuracy, by default at 1 to 10 px).
 
     NaN errors are not scored; zeros where there are no errors.

@@ -19,6 +19,7 @@ from featreg.interfaces import FailedFit
 from featreg.results.json_file import plain
 from featreg.results.registration import Registration
 from featreg.study.evaluation import (
+    CURVE,
     Scores,
     area_under_curve,
     computing_time,
@@ -30,9 +31,6 @@ from featreg.study.evaluation import (
 )
 from featreg.study.truth import Truth
 from featreg.types import FloatArray
-
-#: Thresholds of the mean matching accuracy curve, px.
-CURVE = tuple(range(1, 11))
 
 
 @dataclass(frozen=True, eq=False)
