@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from featreg.errors import InputError, ParameterError
-from featreg.exports.reading import read_tie_points
 from featreg.focusing.inputs import Focus, check_method, focused_input, focused_inputs
 from featreg.geometry import as_model
 from featreg.interfaces import Matcher, Model
@@ -285,6 +284,8 @@ def _initial(initial: Any, search_radius: float | None) -> Model | None:
 
 def _as_matches(points: Any) -> Matches:
     if isinstance(points, str | Path):
+        from featreg.exports.formats import read_tie_points
+
         return read_tie_points(points)
     try:
         array = np.asarray(points, np.float64)

@@ -180,7 +180,7 @@ def summary(result: Registration, written: list[str]) -> str:
         counts = ", ".join(f"{blocks[name]} {name}" for name in ("computed", "reused", "skipped", "failed"))
         lines.append(f"  blocks      {blocks['total']} of about {blocks['size']} px: {counts}")
     stages = ", ".join(f"{name} {seconds:.2f}" for name, seconds in result.timings.items())
-    lines.append(f"  seconds     {computing_time(result):.2f}: {stages}")
+    lines.append(f"  seconds     {computing_time(result.timings):.2f}: {stages}")
     if written:
         lines.append(f"  written     {', '.join(written)}")
     return "\n".join(lines)

@@ -23,8 +23,8 @@ from featreg.errors import InputError, ParameterError
 
 if TYPE_CHECKING:
     from featreg.study.experiment import Experiment
+    from featreg.study.experiment_results import Study
     from featreg.study.protocol import Protocol
-    from featreg.study.study import Study
     from featreg.study.table import Table
 
 FORMATS = ("md", "csv", "latex", "json")
@@ -51,8 +51,9 @@ class RunOptions:
             "--truth",
             metavar="FILE",
             help="Where points really lie: a matrix, marked points, a flow or a result (.json, .txt, .csv, .npy, "
-            ".points of QGIS, .pts of ENVI), 'identity' for images on one grid, or 'geolocation' (or geolocation:HEIGHT, "
-            "geolocation:DEM) for what the files say of where they lie; once for all pairs, or once per pair.",
+            ".points of QGIS, .pts of ENVI), 'identity' for images on one grid, or 'geolocation' (or "
+            "geolocation:HEIGHT, geolocation:DEM) for what the files say of where they lie; once for all pairs, or "
+            "once per pair.",
             show_default=False,
         ),
     ] = None
@@ -146,7 +147,7 @@ def metrics_of(text: str | None, layout: str | None) -> tuple[str, ...]:
 
 def pairs_of(images: Sequence[str], truth: Sequence[str]) -> list[dict[str, Any]]:
     """The image pairs of a command line: REF SEC [REF SEC ...], or one folder of pairs."""
-    from featreg.study.pairs import pairs_in
+    from featreg.study.image_pairs import pairs_in
 
     found: list[dict[str, Any]]
     if len(images) == 1 and Path(images[0]).is_dir():
@@ -242,7 +243,7 @@ class OutputOptions:
         if self.out is not None:
             getattr(table, OUTPUTS[Path(self.out).suffix.lower()])(self.out)
         if self.report is not None:
-            from featreg.report.study_page import write_study_report
+            from featreg.report.from_study import write_study_report
 
             write_study_report(self.report, study)
         return table

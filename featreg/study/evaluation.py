@@ -8,7 +8,7 @@ what the user of a registration wants to know: how far the fitted model lies fro
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import takewhile
 from typing import Any
@@ -17,11 +17,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from featreg.errors import InputError, ParameterError
+from featreg.geometry.cells import spread
 from featreg.interfaces import FailedFit
 from featreg.registry import entries
 from featreg.results.registration import Registration
 from featreg.study.truth import Truth, TruthLike, read_truth
 from featreg.types import BoolArray, FloatArray, points
+
+#: Thresholds of the mean matching accuracy curve, px.
+CURVE = tuple(range(1, 11))
 
 
 @dataclass(frozen=True)
@@ -119,7 +123,7 @@ def evaluate(
         unscored=len(errors) - nm,
         inliers=int(registration.inliers.sum()),
         spread=np.nan if shape is None else spread(matches.reference_xy[registration.inliers], shape),
-        time_s=computing_time(registration),
+        time_s=computing_time(registration.timings),
         model_failed=failed,
         status=registration.status,
         truth_residual_px=known.residual_px,
@@ -161,9 +165,8 @@ def stage_mask(registration: Registration, stage: str | None = None) -> BoolArra
     raise InputError(f"the result has no stage '{name}'; it has {known}")
 
 
-def computing_time(registration: Registration) -> float:
+def computing_time(timings: Mapping[str, float]) -> float:
     """Return the seconds of all stages together."""
-    timings = registration.timings
     return float(timings["total"] if "total" in timings else sum(timings.values()))
 
 
@@ -211,29 +214,6 @@ def grid_rmse(
     if not known.any():
         return float("nan")
     return float(np.sqrt(np.mean(np.sum((np.asarray(model(grid[known])) - wanted[known]) ** 2, axis=1))))
-
-
-def repeatability(
-    reference_xy: ArrayLike,
-    secondary_xy: ArrayLike,
-    truth: TruthLike,
-    secondary_shape: tuple[int, int],
-    threshold: float = 1.5,
-) -> float:
-    """Return the share of reference keypoints found again among the secondary keypoints.
-
-    Only keypoints that the truth maps into the secondary image of shape (H, W) count; each is found again when a
-    secondary keypoint lies within `threshold` pixels. 0 where none counts.
-    """
-    from scipy.spatial import cKDTree
-
-    mapped = read_truth(truth)(reference_xy)
-    mapped = mapped[_inside(mapped, secondary_shape)]
-    there = points(secondary_xy, "secondary_xy")
-    if len(mapped) == 0 or len(there) == 0:
-        return 0.0
-    distance, _ = cKDTree(there).query(mapped)
-    return float(np.mean(distance <= threshold))
 
 
 def repeatable(
@@ -317,7 +297,7 @@ def area_under_curve(errors: ArrayLike, limit: float) -> float:
     return float(np.mean(np.maximum(0.0, 1 - array / limit))) if len(array) else 0.0
 
 
-def matching_accuracy_curve(errors: ArrayLike, thresholds: Sequence[float] = tuple(range(1, 11))) -> FloatArray:
+def matching_accuracy_curve(errors: ArrayLike, thresholds: Sequence[float] = CURVE) -> FloatArray:
     """Return the share of matches within each threshold (mean matching accuracy, by default at 1 to 10 px).
 
     NaN errors are not scored; zeros where there are no errors.
@@ -325,14 +305,6 @@ def matching_accuracy_curve(errors: ArrayLike, thresholds: Sequence[float] = tup
     known = np.sort(_known(errors))
     counts = np.searchsorted(known, np.asarray(thresholds, dtype=np.float64), side="right")
     return counts / max(len(known), 1)
-
-
-def spread(xy: ArrayLike, shape: tuple[int, int], cells: int = 8) -> float:
-    """Return the share of the cells of a `cells` x `cells` grid over an image of shape (H, W) that hold a point."""
-    share = (points(xy, "xy") + 0.5) / (shape[1], shape[0])
-    share = share[((share >= 0) & (share <= 1)).all(axis=1)]
-    cell = np.minimum((share * cells).astype(np.int64), cells - 1)
-    return len(np.unique(cell[:, 1] * cells + cell[:, 0])) / cells**2
 
 
 def _known(errors: ArrayLike) -> FloatArray:
