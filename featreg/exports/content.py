@@ -75,8 +75,7 @@ def content_of(
         except InputError as error:
             # The elevation model of an RPC bias need not be at hand where the tie points are all that is wanted.
             logger.warning("the model cannot be used, so residuals are left out (%s)", error)
-            why = f"it cannot be used ({error})"
-            registration = replace(registration, model=FailedFit(why), status="unreliable", reason=why)
+            registration = replace(registration, model=FailedFit(str(error)))
     columns = {name: values[rows] for name, values in tie_point_columns(registration).items()}
     images = [_info(registration, role, path) for role, path in (("reference", reference), ("secondary", secondary))]
     return Content(matches, offset, columns, model, *images)

@@ -13,7 +13,7 @@ from featreg.geometry import inverse_variances
 from featreg.geometry.robust import irls
 from featreg.interfaces import FailedFit, Filter, FilterContext, Matcher, Model
 from featreg.pipeline.refine import Refine, Refined
-from featreg.pipeline.trust import Limits, assess
+from featreg.pipeline.trust import Evidence, Limits, assess
 from featreg.results.registration import Registration
 from featreg.runtime.timing import collecting, stage
 from featreg.types import BoolArray, FloatArray, Gate, Image, IntArray, Matches
@@ -144,17 +144,12 @@ class Pipeline:
                 else:
                     stages["refine"] = np.zeros(len(matches), np.bool_)
         with stage("trust"):
+            chance_shape = shapes[1] if gathered is None else gathered.chance_shape
             status, reason, gates = assess(
-                matches,
-                putative,
-                supported,
-                inliers,
-                judged,
-                shapes[0],
-                shapes[1] if gathered is None else gathered.chance_shape,
+                Evidence(
+                    matches, putative, supported, inliers, judged, shapes[0], chance_shape, initial, search_radius
+                ),
                 self.limits,
-                initial,
-                search_radius,
                 {} if gathered is None or not judged else gathered.gates(matches, inliers, judged),
             )
         return Registration(

@@ -137,10 +137,7 @@ def _entry(entry: ReportEntry, pair: int, methods: list[str], size: tuple[int, i
             *([name, int(mask.sum())] for name, mask in registration.stages.items()),
             ["final", int(registration.inliers.sum())],
         ],
-        "gates": [
-            {"name": name, **{k: plain(getattr(gate, k)) for k in ("value", "low", "high", "passed", "meaning")}}
-            for name, gate in registration.gates.items()
-        ],
+        "gates": [{"name": name, **plain(gate)} for name, gate in registration.gates.items()],
         "model": _model(registration, size),
     }
     if not isinstance(model, FailedFit) and size is not None:
@@ -178,12 +175,12 @@ def _model(registration: Registration, size: tuple[int, int] | None) -> list[lis
     lines = [["model", type(model).__name__]]
     if size is not None:
         centre = (np.array(size, np.float64) - 1) / 2
-        rotation, scale, anisotropy, _ = decompose(local_linear(model, centre))
+        linear = decompose(local_linear(model, centre))
         dx, dy = (np.asarray(model(centre[None]))[0] - centre).tolist()
         lines += [
-            ["rotation", f"{rotation:+.3f}°"],
-            ["scale", f"{scale:.5f}"],
-            ["anisotropy", f"{anisotropy:.4f}"],
+            ["rotation", f"{linear.rotation_deg:+.3f}°"],
+            ["scale", f"{linear.scale:.5f}"],
+            ["anisotropy", f"{linear.anisotropy:.4f}"],
             ["shift at the centre", f"{dx:+.2f}, {dy:+.2f} px"],
         ]
     if registration.inliers.any():

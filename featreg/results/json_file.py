@@ -60,6 +60,8 @@ def plain(value: Any) -> Any:
         return sorted((plain(v) for v in value), key=str)
     if isinstance(value, Model):
         return plain(model_to_dict(value))
+    if isinstance(value, Gate):
+        return plain(value.to_dict())
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
     if isinstance(value, type) or callable(value):
@@ -292,7 +294,7 @@ def _fields(data: Any, folder: Path) -> dict[str, Any]:
         "model": FailedFit(data["model_failure"]) if data["model"] is None else model_from_dict(data["model"]),
         "status": data["status"],
         "reason": data["reason"],
-        "gates": {name: Gate(**gate) for name, gate in data["gates"].items()},
+        "gates": {name: Gate.from_dict(gate) for name, gate in data["gates"].items()},
         "timings": dict(data["timings"]),
         "provenance": data["provenance"] | ({"tie_point_blocks": block} if (block >= 0).any() else {}),
     }

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from featreg.errors import InputError, ParameterError
+from featreg.geometry import spread
 from featreg.interfaces import FailedFit
 from featreg.results.registration import Registration
 from featreg.study.truth import Truth, TruthLike, read_truth
@@ -316,14 +317,6 @@ def matching_accuracy_curve(errors: ArrayLike, thresholds: Sequence[float] = tup
     known = np.sort(_known(errors))
     counts = np.searchsorted(known, np.asarray(thresholds, dtype=np.float64), side="right")
     return counts / max(len(known), 1)
-
-
-def spread(xy: ArrayLike, shape: tuple[int, int], cells: int = 8) -> float:
-    """Return the share of the cells of a `cells` x `cells` grid over an image of shape (H, W) that hold a point."""
-    share = (points(xy, "xy") + 0.5) / (shape[1], shape[0])
-    share = share[((share >= 0) & (share <= 1)).all(axis=1)]
-    cell = np.minimum((share * cells).astype(np.int64), cells - 1)
-    return len(np.unique(cell[:, 1] * cells + cell[:, 0])) / cells**2
 
 
 def _known(errors: ArrayLike) -> FloatArray:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from featreg.errors import ParameterError, UnknownNameError, suggest
+from featreg.geometry import spread
 from featreg.interfaces import FailedFit
 from featreg.results.json_file import plain
 from featreg.results.registration import Registration
@@ -24,7 +25,6 @@ from featreg.study.evaluation import (
     match_errors,
     matching_accuracy_curve,
     repeatable,
-    spread,
     stage_mask,
 )
 from featreg.study.truth import Truth

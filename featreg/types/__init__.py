@@ -12,7 +12,7 @@ All types are frozen dataclasses of arrays, checked where they are made, and hol
 
 from featreg.types.arrays import BoolArray, FloatArray, IntArray, column, finite, points, read_only
 from featreg.types.features import Features
-from featreg.types.gate import Gate
+from featreg.types.gate import Gate, verdict
 from featreg.types.image import Geolocation, Image
 from featreg.types.matches import Matches
 
@@ -29,4 +29,5 @@ __all__ = [
     "finite",
     "points",
     "read_only",
+    "verdict",
 ]

@@ -54,7 +54,7 @@ def registration(count: int = 60, refined: int = 15, seed: int = 3, **changes: A
         refine,
         model,
         "ok",
-        gates={"count": Gate(15.0, True, low=8.0, meaning="tie points"), "spread": Gate(None, True)},
+        gates={"count": Gate(15.0, low=8.0, meaning="tie points"), "spread": Gate(None)},
         timings={"detect": 0.125, "match": 0.5},
         provenance={
             "method": "sar-orb",
@@ -179,7 +179,7 @@ def test_nan_and_infinity_become_null(tmp_path: Path) -> None:
     made = replace(
         made,
         matches=replace(made.matches, score=score),
-        gates={"significance": Gate(np.inf, True)},
+        gates={"significance": Gate(np.inf)},
         provenance={"threshold": np.float32("nan"), "method": "sar-orb"},
     )
     read, data = round_trip(made, tmp_path)

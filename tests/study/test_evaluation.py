@@ -22,7 +22,6 @@ from featreg.study.evaluation import (
     matching_accuracy_curve,
     repeatability,
     score_errors,
-    spread,
     stage_mask,
 )
 from featreg.study.truth import Truth, read_truth
@@ -268,10 +267,3 @@ def test_matching_accuracy_curve() -> None:
     curve = matching_accuracy_curve([0.5, 2.0, 9.0, np.nan, 50.0])
     np.testing.assert_array_equal(curve, [0.25, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.75, 0.75])
     np.testing.assert_array_equal(matching_accuracy_curve([], [1, 2]), [0, 0])
-
-
-def test_spread() -> None:
-    assert spread(grid_points((80, 80), 8, 0.06), (80, 80)) == 1.0
-    assert spread(np.array([[0, 0], [1, 1], [79.4, 79.4], [-0.4, -0.4], [200, 3]]), (80, 80)) == 2 / 64
-    assert spread(np.array([[79.5, 0]]), (40, 80)) == 1 / 64
-    assert spread(np.zeros((0, 2)), (80, 80)) == 0.0
