@@ -19,7 +19,9 @@ from featreg.io import ImageLike, as_image
 from featreg.io.masks import MaskLike
 from featreg.io.raster_source import open_source, pixel_count
 from featreg.pipeline.assembly import DEFAULT_METHOD, assemble
+from featreg.pipeline.inputs import input_image
 from featreg.pipeline.pipeline import Pipeline
+from featreg.results.input_image import InputImage
 from featreg.results.registration import Registration
 from featreg.runtime.timing import collecting, stage
 from featreg.types import Image, Matches
@@ -133,7 +135,9 @@ def match(
     return replace(
         result,
         timings={**reading, **result.timings},
-        provenance={**result.provenance, "inputs": inputs_of(first, second), **focusing},
+        provenance={**result.provenance, **focusing},
+        reference=input_image(first),
+        secondary=input_image(second),
     )
 
 
@@ -168,24 +172,9 @@ def fit(
     ]
     with collecting() as timings:
         result = pipeline.finish(matches, shapes[0], shapes[1], seed=seed, timings=timings)
-    sizes = [{"path": "tie points", "width": int(w), "height": int(h)} for h, w in shapes]
-    inputs = dict(zip(("reference", "secondary"), sizes, strict=True))
-    return replace(result, provenance={**result.provenance, "method": "tie points", "inputs": inputs})
-
-
-def inputs_of(reference: Image, secondary: Image) -> dict[str, Any]:
-    """What the result records of its two images."""
-    return {
-        role: {
-            "path": image.name,
-            "width": image.shape[1],
-            "height": image.shape[0],
-            "scale": image.scale,
-            "dtype": image.source_dtype,
-            "valid_pixels": int(np.count_nonzero(image.mask)),
-        }
-        for role, image in (("reference", reference), ("secondary", secondary))
-    }
+    first, second = (InputImage("tie points", shape) for shape in shapes)
+    provenance = {**result.provenance, "method": "tie points"}
+    return replace(result, provenance=provenance, reference=first, secondary=second)
 
 
 def _block_size(

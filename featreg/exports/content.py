@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from featreg.errors import InputError, ParameterError, suggest
 from featreg.interfaces import FailedFit, Model
-from featreg.products.grid import recorded, size_of
 from featreg.results.json_file import tie_point_columns
 from featreg.results.registration import Registration
 from featreg.types import BoolArray, FloatArray, Geolocation, Matches
@@ -104,9 +103,9 @@ def rows_of(registration: Registration, stage: str) -> BoolArray:
 def _info(registration: Registration, role: str, given: str | Path | None) -> ImageInfo:
     from featreg.io.raster_source import RasterSource
 
-    known = recorded(registration, role)
-    path = str(given if given is not None else known.get("path") or role)
-    size = size_of(known) or (0, 0)
+    known = registration.reference if role == "reference" else registration.secondary
+    path = str(given) if given is not None else role if known is None else known.path
+    size = (0, 0) if known is None else known.shape
     if given is None and not Path(path).is_file():
         return ImageInfo(path, size)
     try:

@@ -98,9 +98,9 @@ def _size(pair: ReportPair, entries: Sequence[ReportEntry]) -> tuple[int, int] |
     """(width, height) of the reference as a result says it."""
     for entry in entries:
         if entry.pair == pair.name and entry.registration is not None:
-            said = (entry.registration.provenance.get("inputs") or {}).get("reference") or {}
-            if said.get("width") and said.get("height"):
-                return int(said["width"]), int(said["height"])
+            image = entry.registration.reference
+            if image is not None:
+                return image.shape[1], image.shape[0]
     return None
 
 

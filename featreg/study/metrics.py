@@ -90,8 +90,8 @@ class Case:
 
     def shape(self, role: str) -> tuple[int, int] | None:
         """(H, W) of an image as the result says it."""
-        said = (self.registration.provenance.get("inputs") or {}).get(role) or {}
-        return (int(said["height"]), int(said["width"])) if said.get("height") and said.get("width") else None
+        image = self.registration.reference if role == "reference" else self.registration.secondary
+        return None if image is None else image.shape
 
 
 @dataclass(frozen=True)

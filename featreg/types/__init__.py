@@ -15,6 +15,7 @@ from featreg.types.features import Features
 from featreg.types.gate import Gate, verdict
 from featreg.types.image import Geolocation, Image
 from featreg.types.matches import Matches
+from featreg.types.pixel_size import PixelSize
 
 __all__ = [
     "BoolArray",
@@ -25,6 +26,7 @@ __all__ = [
     "Image",
     "IntArray",
     "Matches",
+    "PixelSize",
     "column",
     "finite",
     "points",

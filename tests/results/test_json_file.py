@@ -14,6 +14,7 @@ import pytest
 from featreg.errors import InputError
 from featreg.geometry import Affine, Polynomial2
 from featreg.interfaces import FailedFit
+from featreg.results.input_image import InputImage
 from featreg.results.json_file import MAX_ROWS, plain, registration_to_dict
 from featreg.results.registration import Registration
 from featreg.types import Gate, Matches
@@ -59,12 +60,10 @@ def registration(count: int = 60, refined: int = 15, seed: int = 3, **changes: A
         provenance={
             "method": "sar-orb",
             "seed": 7,
-            "inputs": {
-                "reference": {"path": "a.tif", "width": 512, "height": 500},
-                "secondary": {"path": "b.tif", "width": 511, "height": 499},
-            },
             "parameters": {"n_features": 5000},
         },
+        reference=InputImage("a.tif", (500, 512)),
+        secondary=InputImage("b.tif", (499, 511)),
     )
     return replace(made, **changes)
 
