@@ -280,6 +280,7 @@ def test_foreign_and_spoiled_files_are_refused(tmp_path: Path) -> None:
         {**good, "tie_points": None},
         {**good, "model": {"type": "no-such-model", "parameters": {}}},
         {**good, "gates": {"count": {"colour": 1}}},
+        {**good, "gates": {"count": {**good["gates"]["count"], "passed": False}}},
         {**good, "status": "perfect"},
     ]
     file = tmp_path / "spoiled.json"
