@@ -23,6 +23,7 @@ from featreg.pipeline.assembly import DEFAULT_METHOD, assemble, assemble_fit
 from featreg.pipeline.feature_matcher import FeatureMatcher
 from featreg.pipeline.keywords import of_pipeline
 from featreg.pipeline.pipeline import Pipeline
+from featreg.results.input_image import InputImage
 from featreg.results.registration import Registration
 from featreg.runtime.cluster import dask_client
 from featreg.runtime.threads import check_count, limited_threads
@@ -155,7 +156,7 @@ def match(
     return replace(
         result,
         timings={**seconds, **result.timings},
-        provenance={**result.provenance, "inputs": inputs_of(first, second), **focusing},
+        provenance={**result.provenance, **focusing},
     )
 
 
@@ -190,9 +191,8 @@ def fit(
         for given, xy in ((reference_shape, matches.reference_xy), (secondary_shape, matches.secondary_xy))
     ]
     result = pipeline.fit(matches, shapes[0], shapes[1], seed=seed)
-    sizes = [{"path": "tie points", "width": int(w), "height": int(h)} for h, w in shapes]
-    inputs = dict(zip(("reference", "secondary"), sizes, strict=True))
-    return replace(result, provenance={**result.provenance, "inputs": inputs})
+    first, second = (InputImage("tie points", shape) for shape in shapes)
+    return replace(result, reference=first, secondary=second)
 
 
 def keypoints_of(
@@ -215,21 +215,6 @@ def keypoints_of(
     if focus is not None and whole.is_complex:
         whole, _ = focused_input(whole, focus)
     return matcher.detector.detect_features(whole).best(matcher.n_features).xy
-
-
-def inputs_of(reference: Image, secondary: Image) -> dict[str, Any]:
-    """What the result records of its two images."""
-    return {
-        role: {
-            "path": image.name,
-            "width": image.shape[1],
-            "height": image.shape[0],
-            "scale": image.scale,
-            "dtype": image.source_dtype,
-            "valid_pixels": int(np.count_nonzero(image.mask)),
-        }
-        for role, image in (("reference", reference), ("secondary", secondary))
-    }
 
 
 def check_seed(seed: Any) -> None:

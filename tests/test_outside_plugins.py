@@ -1,4 +1,4 @@
-"""Plugins of somebody else's package are treated as our own: the same conformance, scenes, comparisons, warm-up, keys."""
+"""Plugins of somebody else's package are treated as our own: conformance, scenes, comparisons, warm-up, digests."""
 
 from __future__ import annotations
 

@@ -173,20 +173,14 @@ def summary(result: FocusResult, seconds: float, written: list[str]) -> str:
 def _record(path: str, image: Image, result: FocusResult) -> dict[str, Any]:
     from featreg.runtime.versions import versions
 
-    def finite(value: float | None) -> float | None:
-        return value if value is not None and abs(value) < float("inf") else None
-
     height, width = image.shape
     return {
         "schema_version": 1,
         "method": result.method,
         "status": result.status,
         "reason": result.reason,
-        "deviation": finite(result.deviation),
-        "gates": {
-            name: {"value": finite(g.value), "passed": g.passed, "low": g.low, "high": g.high, "meaning": g.meaning}
-            for name, g in result.gates.items()
-        },
+        "deviation": result.deviation if result.deviation < float("inf") else None,
+        "gates": {name: gate.to_dict() for name, gate in result.gates.items()},
         "input": {"path": path, "width": width, "height": height},
         "image_entropy": list(result.image_entropy),
         "entropy": result.entropy.tolist(),

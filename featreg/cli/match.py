@@ -197,21 +197,21 @@ def _describe(result: Registration) -> str:
     model = result.model
     if isinstance(model, FailedFit):
         return f"none: {model.reason}"
-    size = result.provenance["inputs"]["reference"]
-    centre = np.array([[(size["width"] - 1) / 2, (size["height"] - 1) / 2]])
-    rotation, zoom, _, _ = decompose(local_linear(model, centre)[0])
+    height, width = (1, 1) if result.reference is None else result.reference.shape
+    centre = np.array([[(width - 1) / 2, (height - 1) / 2]])
+    linear = decompose(local_linear(model, centre)[0])
     dx, dy = (model(centre) - centre)[0]
     errors = result.standard_errors
     if errors:
         sx, sy = errors["shift_se_px"]
         return (
-            f"{model_name(type(model))}: rotation {rotation:+.3f} +- {errors['rotation_deg_se']:.3f} deg "
+            f"{model_name(type(model))}: rotation {linear.rotation_deg:+.3f} +- {errors['rotation_deg_se']:.3f} deg "
             f"counter-clockwise, shift ({dx:+.2f} +- {sx:.2f}, {dy:+.2f} +- {sy:.2f}) px (right, down), "
             "with standard errors, at the image centre"
         )
     return (
-        f"{model_name(type(model))}: rotation {rotation:+.3f} deg counter-clockwise, scale {zoom:.5f}, "
-        f"shift ({dx:+.2f}, {dy:+.2f}) px (right, down), all at the image centre"
+        f"{model_name(type(model))}: rotation {linear.rotation_deg:+.3f} deg counter-clockwise, "
+        f"scale {linear.scale:.5f}, shift ({dx:+.2f}, {dy:+.2f}) px (right, down), all at the image centre"
     )
 
 

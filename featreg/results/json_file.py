@@ -4,10 +4,12 @@ Layout (schema version 1)
 -------------------------
 One object: ``schema_version, method, status, reason, gates, seed, reference, secondary, model, counts, blocks, timings,
 provenance, tie_points``. Points are (x, y) in pixels, the centre of the first pixel is (0, 0). ``nan`` and ``inf`` are
-written as null. `counts` lists the filters in the order in which they ran. The column `stage` is how many filters, from
-the first on, a tie point survived; a mask that does not follow from it (that of a refinement, whose points are not in
-the stages before it) stands packed in ``tie_points.masks`` (base64 of `numpy.packbits`). Where no model could be fitted
-`model` is null and `model_failure` says why. More than 20 000 tie points stand in a Parquet file beside the JSON.
+written as null. `reference` and `secondary` hold path, width and height (null where the images are not known) and,
+where known, scale, dtype, valid_pixels, pixel_size {x, y, unit} and geolocation {transform, crs, rpcs, gcps}. `counts`
+lists the filters in the order in which they ran. The column `stage` is how many filters, from the first on, a tie point
+survived; a mask that does not follow from it (that of a refinement, whose points are not in the stages before it)
+stands packed in ``tie_points.masks`` (base64 of `numpy.packbits`). Where no model could be fitted `model` is null and
+`model_failure` says why. More than 20 000 tie points stand in a Parquet file beside the JSON.
 """
 
 from __future__ import annotations
@@ -29,6 +31,7 @@ from numpy.typing import NDArray
 from featreg.errors import InputError
 from featreg.geometry import model_from_dict, model_to_dict
 from featreg.interfaces import FailedFit, Model
+from featreg.results.input_image import InputImage
 from featreg.runtime.files import write_atomic
 from featreg.types import BoolArray, Gate, IntArray, Matches
 
@@ -60,6 +63,8 @@ def plain(value: Any) -> Any:
         return sorted((plain(v) for v in value), key=str)
     if isinstance(value, Model):
         return plain(model_to_dict(value))
+    if isinstance(value, Gate):
+        return plain(value.to_dict())
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
     if isinstance(value, type) or callable(value):
@@ -138,11 +143,6 @@ def read_registration(path: str | Path, make: Callable[..., R]) -> R:
 def _head(registration: Registration) -> dict[str, Any]:
     """Everything but the tie points, in the order of the file."""
     provenance = {k: v for k, v in registration.provenance.items() if k != "tie_point_blocks"}
-    inputs = provenance.get("inputs") or {}
-    images = {
-        role: {key: plain((inputs.get(role) or {}).get(key)) for key in ("path", "width", "height")}
-        for role in ("reference", "secondary")
-    }
     blocks = provenance.get("blocks") or {}
     for name in registration.stages:
         if name in RESERVED:
@@ -155,7 +155,8 @@ def _head(registration: Registration) -> dict[str, Any]:
         "reason": registration.reason,
         "gates": plain(registration.gates),
         "seed": plain(provenance.get("seed")),
-        **images,
+        "reference": _image(registration.reference),
+        "secondary": _image(registration.secondary),
         "model": None if isinstance(model, FailedFit) else {**plain(model), **plain(registration.standard_errors)},
         **({"model_failure": model.reason} if isinstance(model, FailedFit) else {}),
         "counts": {
@@ -167,6 +168,10 @@ def _head(registration: Registration) -> dict[str, Any]:
         "timings": plain(registration.timings),
         "provenance": plain(provenance),
     }
+
+
+def _image(image: InputImage | None) -> dict[str, Any]:
+    return dict.fromkeys(("path", "width", "height")) if image is None else plain(image.to_dict())
 
 
 def _stage(registration: Registration) -> IntArray:
@@ -292,9 +297,11 @@ def _fields(data: Any, folder: Path) -> dict[str, Any]:
         "model": FailedFit(data["model_failure"]) if data["model"] is None else model_from_dict(data["model"]),
         "status": data["status"],
         "reason": data["reason"],
-        "gates": {name: Gate(**gate) for name, gate in data["gates"].items()},
+        "gates": {name: Gate.from_dict(gate) for name, gate in data["gates"].items()},
         "timings": dict(data["timings"]),
         "provenance": data["provenance"] | ({"tie_point_blocks": block} if (block >= 0).any() else {}),
+        "reference": InputImage.from_dict(data["reference"]),
+        "secondary": InputImage.from_dict(data["secondary"]),
     }
 
 

@@ -17,6 +17,7 @@ from featreg.errors import ParameterError
 from featreg.geolocation import ConstantHeight, DemHeights, Heights, RpcBias, Transfer, sensor_of
 from featreg.interfaces import Matcher, Model
 from featreg.io.raster_source import ImageSource, Source
+from featreg.pipeline.inputs import input_image
 from featreg.pipeline.pipeline import Pipeline
 from featreg.pipeline.steps import refined
 from featreg.results.registration import Registration
@@ -28,7 +29,7 @@ from featreg.scene.blocks import Block, halo_of, plan_blocks, spread_out
 from featreg.scene.first_prior import first_prior
 from featreg.scene.merge import Merged, accuracy, block_errors, block_gates, concatenated, fit_refined, merge
 from featreg.scene.prior import Prior, corrected
-from featreg.scene.record import block_table, inputs_of_sources, seconds_of, with_final
+from featreg.scene.record import block_table, seconds_of, with_final
 from featreg.scene.state import BlockFiles, digest_of
 from featreg.scene.task import BlockResult, Job, run_block
 
@@ -308,7 +309,6 @@ def _finished(
         timings=dict(timings),
         provenance={
             **result.provenance,
-            "inputs": inputs_of_sources(reference, secondary),
             "blocks": counts,
             "block_table": with_final(table, owners[result.inliers]),
             "tie_point_blocks": owners,
@@ -317,4 +317,6 @@ def _finished(
             "accuracy": accuracy(result.model, final, errors, result.gates, reference.shape),
             "block_seconds": seconds,
         },
+        reference=input_image(reference),
+        secondary=input_image(secondary),
     )

@@ -12,9 +12,10 @@ All types are frozen dataclasses of arrays, checked where they are made, and hol
 
 from featreg.types.arrays import BoolArray, FloatArray, IntArray, column, finite, points, read_only
 from featreg.types.features import Features
-from featreg.types.gate import Gate
+from featreg.types.gate import Gate, verdict
 from featreg.types.image import Geolocation, Image
 from featreg.types.matches import Matches
+from featreg.types.pixel_size import PixelSize
 
 __all__ = [
     "BoolArray",
@@ -25,8 +26,10 @@ __all__ = [
     "Image",
     "IntArray",
     "Matches",
+    "PixelSize",
     "column",
     "finite",
     "points",
     "read_only",
+    "verdict",
 ]

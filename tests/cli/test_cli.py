@@ -103,7 +103,12 @@ def test_match_writes_the_contracted_json_and_a_picture(run: Run, folder: Path, 
     assert picture.read_bytes().startswith(b"\x89PNG")
     data = json.loads(target.read_text(), parse_constant=lambda name: pytest.fail(f"{name} in JSON"))
     assert list(data) == TOP_KEYS
-    assert data["reference"] == {"path": "ref.tif", "width": SIDE, "height": SIDE}
+    image = data["reference"]
+    assert list(image)[:3] == ["path", "width", "height"]
+    assert (image["path"], image["width"], image["height"]) == ("ref.tif", SIDE, SIDE)
+    assert (image["scale"], image["dtype"], image["valid_pixels"]) == ("amplitude", "float32", SIDE * SIDE)
+    assert image["geolocation"]["transform"] == list(PLACE.transform or ())
+    assert "inputs" not in data["provenance"]
     assert {"type", "matrix", "parameters", "rotation_deg", "scale"} <= set(data["model"])
     assert list(data["counts"]) == ["putative", "gms", "fsc", "refine", "inliers"]
     columns = data["tie_points"]["columns"]
