@@ -25,12 +25,12 @@ class OutsideCorners(Detector):
     spacing : half the side of the square in which a corner is the largest, px
     """
 
-    block_parameters: ClassVar[Mapping[str, Any]] = MappingProxyType({"spacing": 3})
+    block_parameters: ClassVar[Mapping[str, Any]] = MappingProxyType({"spacing": 2})
 
     n_features: int = 5000
-    sigma: float = 2.0
+    sigma: float = 1.2
     describe: bool = True
-    spacing: int = 4
+    spacing: int = 3
 
     def detect_features(self, image: Image) -> Features:
         from scipy import ndimage

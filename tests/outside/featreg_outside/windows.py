@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -21,9 +24,12 @@ class OutsideWindows(Matcher):
     step : of the grid, px
     """
 
+    # A block's window of the secondary is larger than that of the reference by how far the prior may be off.
+    block_parameters: ClassVar[Mapping[str, Any]] = MappingProxyType({"search": 48})
+
     half: int = 20
     search: int = 12
-    step: int = 24
+    step: int = 12
 
     def match(self, reference: Image, secondary: Image) -> Matches:
         import cv2
