@@ -17,7 +17,6 @@ from featreg.cli.options import (
     announce_compiling,
     check_output,
     distance,
-    limited_threads,
     parse_settings,
     progress,
     whole_number,
@@ -37,6 +36,7 @@ from featreg.cli.scene import (
     may_be_blocks,
 )
 from featreg.errors import InputError, ParameterError
+from featreg.runtime.threads import limited_threads
 
 if TYPE_CHECKING:
     from featreg.results.registration import Registration
@@ -134,7 +134,7 @@ def match(
     check_block_options(block, whole, workers, scheduler, dem, height, resume)
     blocks = may_be_blocks(whole, [block, scheduler, dem, height, resume], [reference, secondary])
     if blocks:
-        from featreg.runtime.executors import keep_freed_memory
+        from featreg.runtime.workers import keep_freed_memory
 
         keep_freed_memory()
     with kept_when_interrupted(resume), limited_threads(workers, 1 if blocks else None), cluster(scheduler) as client:

@@ -21,7 +21,7 @@ from featreg.pipeline.assembly import assemble
 from featreg.pipeline.pipeline import Gathered, Pipeline
 from featreg.presets import PRESETS
 from featreg.results.registration import Registration
-from featreg.runtime.executors import Canceller, Lane, open_lane
+from featreg.runtime.executors import Canceller, TaskExecutor, open_executor
 from featreg.runtime.timing import collecting, stage
 from featreg.runtime.versions import versions
 from featreg.scene.blocks import Block, halo_of, plan_blocks, spread_out
@@ -53,7 +53,7 @@ class SceneOptions:
     Parameters
     ----------
     block : side of a block, px
-    executor, workers : see `featreg.runtime.executors.open_lane`
+    executor, workers : see `featreg.runtime.executors.open_executor`
     dem, height : heights of the ground: a file, or metres above the ellipsoid (0 where neither is given)
     resume : folder in which finished blocks are kept and looked for
     progress : called with (blocks done, blocks in all)
@@ -121,8 +121,8 @@ def match_scene(
     heights = options.heights()
     with collecting() as timings:
         with ExitStack() as stack:
-            lane = stack.enter_context(open_lane(options.executor, options.workers))
-            shared = _shareable(reference, secondary, lane, stack)
+            executor = stack.enter_context(open_executor(options.executor, options.workers))
+            shared = _shareable(reference, secondary, executor, stack)
             pipeline = _bound(pipeline, reference, secondary, heights)
             with stage("prior"):
                 found = first_prior(pipeline, reference, secondary, heights, seed, initial, search_radius)
@@ -131,11 +131,11 @@ def match_scene(
             prior, area = found
             blocks = plan_blocks(area, options.block)
             pipeline = replace(pipeline, n_features=pipeline.n_features * len(blocks))
-            job = _job(pipeline, matcher, *shared, seed, lane, len(blocks))
+            job = _job(pipeline, matcher, *shared, seed, executor, len(blocks))
             with stage("prior"):
-                prior = _piloted(job, prior, blocks, lane, options.cancel, seed)
+                prior = _piloted(job, prior, blocks, executor, options.cancel, seed)
             with stage("blocks"):
-                results, counts = _all_blocks(job, prior, blocks, lane, options, pipeline, (reference, secondary))
+                results, counts = _all_blocks(job, prior, blocks, executor, options, pipeline, (reference, secondary))
         # The workers are gone, and the columns of the blocks go once they are put together: what is left to do needs
         # the memory more.
         record = {**counts, "size": options.block, "halo": job.halo}, block_table(blocks, results), seconds_of(results)
@@ -147,9 +147,9 @@ def match_scene(
         )  # fmt: skip
 
 
-def _shareable(reference: Source, secondary: Source, lane: Lane, stack: ExitStack) -> tuple[Source, Source]:
+def _shareable(reference: Source, secondary: Source, executor: TaskExecutor, stack: ExitStack) -> tuple[Source, Source]:
     """The scenes as workers that do not share this memory and this folder find them: as files, by absolute names."""
-    if not lane.own_process:
+    if not executor.own_process:
         return reference, secondary
     folder: Path | None = None
     made: list[Source] = []
@@ -177,21 +177,23 @@ def _job(
     reference: Source,
     secondary: Source,
     seed: int,
-    lane: Lane,
+    executor: TaskExecutor,
     count: int,
 ) -> Job:
     local = tuple((name, keeper) for name, keeper in pipeline.filters if keeper.local)
     return Job(
         reference, secondary, matcher, local, pipeline.model, pipeline.refine, seed,
-        max(1, pipeline.n_features // count), halo_of(matcher, pipeline.refine), lane.own_process,
+        max(1, pipeline.n_features // count), halo_of(matcher, pipeline.refine), executor.own_process,
     )  # fmt: skip
 
 
-def _piloted(job: Job, prior: Prior, blocks: Sequence[Block], lane: Lane, cancel: Canceller | None, seed: int) -> Prior:
+def _piloted(
+    job: Job, prior: Prior, blocks: Sequence[Block], executor: TaskExecutor, cancel: Canceller | None, seed: int
+) -> Prior:
     """The prior, corrected by a few blocks that were searched as widely as its uncertainty asks."""
     pilots = spread_out(tuple(blocks), min(PILOTS, max(LEAST_PILOTS, len(blocks) // 8)))
     found = sorted(
-        (result for _, result in lane.run(run_block, (replace(job, refine=None), prior.widened()), pilots, cancel)),
+        (result for _, result in executor.run(run_block, (replace(job, refine=None), prior.widened()), pilots, cancel)),
         key=lambda result: result.index,
     )
     done = [r for r in found if r.status == "done"]
@@ -203,7 +205,7 @@ def _all_blocks(
     job: Job,
     prior: Prior,
     blocks: Sequence[Block],
-    lane: Lane,
+    executor: TaskExecutor,
     options: SceneOptions,
     pipeline: Pipeline,
     sources: Sequence[Source],
@@ -218,7 +220,7 @@ def _all_blocks(
     todo = [block for block in blocks if block.index not in known]
     tell = options.progress or (lambda done, total: None)
     tell(reused, len(blocks))
-    for position, result in lane.run(run_block, (job, prior), todo, options.cancel):
+    for position, result in executor.run(run_block, (job, prior), todo, options.cancel):
         # A block that failed is tried again next time.
         if files is not None and result.status != "failed":
             files.save(todo[position], result)
