@@ -26,7 +26,7 @@ from featreg.pipeline.pipeline import Pipeline
 from featreg.results.input_image import InputImage
 from featreg.results.registration import Registration
 from featreg.runtime.cluster import dask_client
-from featreg.runtime.threads import check_count, limited_threads
+from featreg.runtime.threads import limited_threads, worker_count
 from featreg.runtime.timing import collecting, stage
 from featreg.runtime.watching import Canceller, Progress, cancellable
 from featreg.types import FloatArray, Image, Matches
@@ -112,8 +112,8 @@ def match(
         `cancel` was set.
     """
     check_seed(seed)
-    for name, count in (("workers", workers), ("threads", threads)):
-        check_count(name, count)
+    worker_count(workers)
+    worker_count(threads, name="threads")
     known = _initial(initial, search_radius)
     search: Any = {"seed": int(seed), "initial": known, "search_radius": search_radius}
     parts: Any = {"model": model, "refine": refine, "n_features": n_features, **keywords}
@@ -228,8 +228,8 @@ def check_keywords(keywords: Mapping[str, Any]) -> None:
     known = {name: value for name, value in keywords.items() if value is not None}
     check_seed(known.get("seed", 0))
     size = block_side(known.get("block"), known.get("dem"), known.get("height"), known.get("model"))
-    for name in ("workers", "threads"):
-        check_count(name, known.get(name))
+    worker_count(known.get("workers"))
+    worker_count(known.get("threads"), name="threads")
     if isinstance(known.get("focus"), str):
         check_method(known["focus"])
     _initial(known.get("initial"), known.get("search_radius"))

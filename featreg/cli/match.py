@@ -12,7 +12,6 @@ from featreg.cli.options import (
     announce_compiling,
     check_output,
     distance,
-    limited_threads,
     parse_settings,
     progress,
     whole_number,
@@ -20,6 +19,7 @@ from featreg.cli.options import (
 from featreg.cli.scene import BlockOptions, block_progress, image_to_draw, kept_when_interrupted, may_be_blocks
 from featreg.errors import InputError, ParameterError
 from featreg.pipeline.keywords import KEYWORDS
+from featreg.runtime.threads import limited_threads
 
 if TYPE_CHECKING:
     from featreg.results.registration import Registration
@@ -109,7 +109,7 @@ def match(
     blocks.check(workers)
     in_blocks = may_be_blocks(blocks, [reference, secondary])
     if in_blocks:
-        from featreg.runtime.executors import keep_freed_memory
+        from featreg.runtime.workers import keep_freed_memory
 
         keep_freed_memory()
     with kept_when_interrupted(blocks.resume), limited_threads(workers, 1 if in_blocks else None):

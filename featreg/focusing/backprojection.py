@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import InputError, ParameterError, PluginUnavailableError, suggest
+from featreg.runtime.threads import worker_count
 from featreg.types import FloatArray, Image
 
 if TYPE_CHECKING:
@@ -146,8 +147,9 @@ def back_project(
             raise ParameterError(f"unknown window '{window}', {suggest(window, WINDOWS)}")
     if backend not in BACKENDS:
         raise ParameterError(f"unknown backend '{backend}', {suggest(backend, BACKENDS)}")
-    if upsampling < 1 or workers < 1:
-        raise ParameterError(f"upsampling and workers must be at least 1, got {upsampling} and {workers}")
+    workers = worker_count(workers)
+    if upsampling < 1:
+        raise ParameterError(f"upsampling must be at least 1, got {upsampling}")
     if device is not None and backend != "torch":
         raise ParameterError(f"device '{device}' needs backend='torch'")
     plan = _Plan.of(history, grid or GroundGrid(), range_window, azimuth_window, upsampling)

@@ -27,6 +27,7 @@ from featreg.focusing.result import FocusResult
 from featreg.interfaces import Detector
 from featreg.io import SMALLEST, ImageLike, as_image
 from featreg.registry import create, entry
+from featreg.runtime.threads import worker_count
 from featreg.types import BoolArray, FloatArray, Gate, Image, IntArray, verdict
 
 C64 = NDArray[np.complex64]
@@ -309,8 +310,6 @@ def _settings(
         raise ParameterError(f"fraction must lie in (0, 1], got {fraction!r}")
     if not isinstance(max_iterations, int | np.integer) or max_iterations < 1:
         raise ParameterError(f"max_iterations must be a whole number >= 1, got {max_iterations!r}")
-    if workers is not None and (not isinstance(workers, int | np.integer) or workers < 1):
-        raise ParameterError(f"workers must be a whole number >= 1, got {workers!r}")
     if isinstance(detector, str):
         entry("detector", detector)
     elif not isinstance(detector, Detector):
@@ -322,7 +321,7 @@ def _settings(
         if progress is not None:
             progress(done, max_iterations)
 
-    count = default_workers() if workers is None else int(workers)
+    count = worker_count(workers, default_workers())
     return _Settings(
         method, azimuth_axis, fraction, bool(normalize), detector, int(max_iterations), bool(detrend), count, each
     )

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import base64
 import dataclasses
-import hashlib
 import io
 import json
 import math
@@ -32,7 +31,8 @@ from featreg.errors import InputError
 from featreg.geometry import model_from_dict, model_to_dict
 from featreg.interfaces import FailedFit, Model
 from featreg.results.input_image import InputImage
-from featreg.runtime.files import write_atomic
+from featreg.runtime.digests import digest_bytes
+from featreg.runtime.files import is_stream, write_atomic
 from featreg.types import BoolArray, Gate, IntArray, Matches
 
 if TYPE_CHECKING:
@@ -85,6 +85,7 @@ def write_registration(registration: Registration, path: str | Path) -> None:
     """Write a registration as JSON; beyond 20 000 tie points these go to ``<name>.tie_points.parquet`` beside it.
 
     Each file appears whole or not at all, the Parquet file first. Equal registrations give equal bytes.
+    A pipe or terminal as `path` gets every tie point itself.
 
     Raises
     ------
@@ -94,11 +95,12 @@ def write_registration(registration: Registration, path: str | Path) -> None:
     path = Path(path)
     stage = _stage(registration)
     columns, masks, head = _columns(registration, stage), _masks(registration, stage), _head(registration)
-    if len(stage) > MAX_ROWS:
+    # A pipe has no place beside it.
+    if len(stage) > MAX_ROWS and not is_stream(path):
         beside = tie_point_file(path)
         content = parquet_of(columns)
         write_atomic(beside, content)
-        table = {"file": beside.name, "columns": list(columns), "sha256": hashlib.sha256(content).hexdigest()}
+        table = {"file": beside.name, "columns": list(columns), "sha256": digest_bytes(content)}
         text = _layout({**head, "tie_points": table | ({"masks": masks} if masks else {})})
     else:
         # The rows are encoded in one go, one tie point a line: a general pretty printer would take seconds.
@@ -315,7 +317,7 @@ def _read_columns(table: Mapping[str, Any], folder: Path) -> dict[str, NDArray[n
     import pyarrow.parquet as pq
 
     content = (folder / table["file"]).read_bytes()
-    if hashlib.sha256(content).hexdigest() != table["sha256"]:
+    if digest_bytes(content) != table["sha256"]:
         raise InputError(f"'{table['file']}' is not the tie-point file that was written with it")
     read = pq.ParquetFile(io.BytesIO(content)).read(columns=names)
     return {name: np.asarray(read[name].to_numpy(), dtype=np.float64) for name in names}

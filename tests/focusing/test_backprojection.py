@@ -269,7 +269,7 @@ def test_a_phase_error_of_the_pulses_stands_in_the_columns_spectrum() -> None:
         ({"azimuth_window": "taylor"}, "unknown window 'taylor'"),
         ({"backend": "jax"}, "unknown backend 'jax'"),
         ({"upsampling": 0}, "at least 1"),
-        ({"workers": 0}, "at least 1"),
+        ({"workers": 0}, "whole number >= 1"),
         ({"device": "cuda"}, "needs backend='torch'"),
     ],
 )
