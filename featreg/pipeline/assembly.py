@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 
 from featreg import registry
-from featreg.errors import ParameterError, UnknownNameError, suggest
+from featreg.errors import ParameterError, suggest
 from featreg.interfaces import Descriptor, Detector, Filter, Matcher, Model, Nearest
 from featreg.pipeline.feature_matcher import FeatureMatcher
 from featreg.pipeline.pipeline import Pipeline
 from featreg.pipeline.refine import Refine
 from featreg.pipeline.trust import Limits
 from featreg.presets import PRESETS, Part, Preset
+from featreg.runtime.parameters import check
 
 DEFAULT_METHOD = "sar-orb"
 DEFAULT_MODEL = "affine"
@@ -90,7 +91,7 @@ def assemble(
     common = keywords.pop("common_rotation", preset.common_rotation)
     robust = keywords.pop("robust", preset.robust)
     for key, value in (("common_rotation", common), ("robust", robust)):
-        registry.check_type(key, value, True)
+        check(key, value, bool)
     refinement, limits = _route(keywords, slots, steps, preset)
     for slot in slots.values():
         if "n_features" in slot.known:
@@ -129,7 +130,7 @@ def _preset(method: str | Matcher) -> tuple[str, Preset]:
     if isinstance(method, Matcher):
         return type(method).__name__, Preset(type(method).__name__)
     if method not in PRESETS:
-        raise UnknownNameError(f"unknown method '{method}', {suggest(str(method), PRESETS)}")
+        raise registry.unknown("method", str(method))
     return method, PRESETS[method]
 
 
@@ -191,9 +192,6 @@ def _route(
             names = everything if part else [*own, *ROLES, "filters", *(e.split(".")[1] for e in everything)]
             raise ParameterError(f"no part of this method has a parameter '{key}', {suggest(key, set(names))}")
         takers[owners[0]][0][short] = value
-    for owner, given, cls in (("refine", refinement, Refine), ("trust", trust, Limits)):
-        for name, value in given.items():
-            registry.check_type(f"{owner}.{name}", value, getattr(cls, name))
     return refinement, Limits(**trust)
 
 

@@ -25,6 +25,7 @@ from featreg.geometry import (
 from featreg.geometry.cells import cells
 from featreg.geometry.robust import irls
 from featreg.interfaces import FailedFit, Model
+from featreg.runtime.parameters import checked
 from featreg.types import BoolArray, FloatArray, Gate, Matches
 
 # Cells along the longer side of the reference in which tie points are counted once, and for the spread.
@@ -36,6 +37,7 @@ REGIONS = 4
 NEAR_PX, AFFINE_SCALE_PX = 8.0, 0.6
 
 
+@checked("trust")
 @dataclass(frozen=True)
 class Limits:
     """What a trusted registration must reach.
