@@ -26,7 +26,7 @@ class Mad(Filter):
     threshold : "mad" (kappa times the scaled median absolute deviation, as published, Eq. 4) or
         "median+mad" (the same above the median of the errors)
     start : of what the first fit is: "all" tie points, or the largest "consensus" among them within `start_px`
-    start_px : px
+    start_px : largest distance from the consensus of a tie point that belongs to it, px
     kappa_first, kappa_last, kappa_step : kappa falls from the first to the last
 
     Notes

@@ -85,7 +85,7 @@ class ScaleSearch(Matcher):
     detector: str = "phase-congruency"
     descriptor: str = "max-index-map"
     nearest: str = "brute-force"
-    patch: float = 84.0
+    patch: Positive = 84.0
     largest: Annotated[float, Interval(ge=1, le=16)] = 2.0
     step: Annotated[float, Interval(gt=1, le=4)] = 1.3
     halvings: Annotated[int, Ge(0)] = 2

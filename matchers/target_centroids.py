@@ -41,8 +41,17 @@ class TargetCentroids(Matcher):
     subpixel : whether the correlation peak is interpolated
     centred : "common" (both patches around the reference target) or "each" (each around its own), in a first pass
         without alignment
-    cfar, pfa, guard, train, looks, rank, trim : method and parameters of `featreg.sar.obcls.cfar.detect`
-    order, median, min_area, zeros_are_data : of `featreg.sar.obcls.targets.targets`
+    cfar : how clutter is estimated (`featreg.sar.obcls.cfar`): "ca" (mean), "goca" and "soca" (greatest and smallest
+        side), "os" (order statistic), "tm" (trimmed mean), "cs" (censored mean)
+    pfa : probability of false alarm in homogeneous clutter
+    guard, train : cells on each side of the tested one that are left out, and cells beyond them that are trained on
+    looks : of the intensity
+    rank : of "os", as a share of the training cells
+    trim : share of the training cells that "tm" leaves out at both ends, "cs" at the upper
+    order : of the 5 x 5 order filter that fills targets, from the smallest
+    median : side of the median filter that removes what is small, px; 1 for none
+    min_area : fewest pixels of a target
+    zeros_are_data : whether areas of exactly zero amplitude are data
     chance : log10 of the expected number of associations as good in a random scene, at most, for "vote" and
         "fourier-mellin"; else there are no tie points
     n_features : most targets per image, the largest first
