@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import socket
 import threading
-import urllib.request
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
-from importlib.metadata import PackageNotFoundError, version
+from functools import cache, lru_cache
+from importlib import metadata
 from importlib.util import find_spec
 from os import environ
 from pathlib import Path
@@ -23,6 +22,8 @@ from featreg.errors import InputError, ParameterError, PluginUnavailableError, s
 from featreg.runtime.optional import TORCH_CURE, import_torch
 from featreg.sar.normalise import METHODS
 
+# Every plugin asks, and a distribution's metadata takes a millisecond to read.
+version = cache(metadata.version)
 # Before it, positions, frames and scores of several parts are others than what the tables here rely on.
 NEEDED = (0, 9)
 HOST = ("huggingface.co", 443)
@@ -94,7 +95,7 @@ def library_missing() -> str:
             return f"{name} is not installed; {TORCH_CURE}"
     try:
         installed = version("kornia")
-    except PackageNotFoundError:
+    except metadata.PackageNotFoundError:
         return ""
     numbers = tuple(int(n) for n in installed.split(".")[:2] if n.isdigit())
     if numbers < NEEDED:
@@ -277,7 +278,9 @@ def _renamed(tensors: dict[str, Any], module: Any) -> dict[str, Any]:
 
 def reachable() -> bool:
     """Whether the host of the weights, or the proxy that stands before it, answers within a few seconds."""
-    proxy = urllib.request.getproxies().get("https", "")
+    from urllib.request import getproxies
+
+    proxy = getproxies().get("https", "")
     address = HOST
     if proxy:
         from urllib.parse import urlsplit

@@ -28,9 +28,11 @@ from featreg.pipeline.trust_measures import (
     log10_chance,
     model_uncertainty,
 )
+from featreg.runtime.parameters import checked
 from featreg.types import BoolArray, FloatArray, Gate, Matches, verdict
 
 
+@checked("trust")
 @dataclass(frozen=True)
 class Limits:
     """What a trusted registration must reach.
