@@ -27,7 +27,7 @@ from featreg.focusing.result import FocusResult
 from featreg.interfaces import Detector
 from featreg.io import SMALLEST, ImageLike, as_image
 from featreg.registry import create, entry
-from featreg.types import BoolArray, FloatArray, Gate, Image, IntArray
+from featreg.types import BoolArray, FloatArray, Gate, Image, IntArray, read_only
 
 C64 = NDArray[np.complex64]
 Progress = Callable[[int, int], None]
@@ -157,7 +157,7 @@ def focus(
     restored = result.image.copy() if result.image is pixels else result.image
     restored.flags.writeable = True
     restored /= factor
-    return replace(result, image=restored)
+    return replace(result, image=read_only(restored))
 
 
 def _whole(pixels: NDArray[Any], energy: FloatArray, before: float, *, settings: _Settings) -> FocusResult:
@@ -170,7 +170,7 @@ def _whole(pixels: NDArray[Any], energy: FloatArray, before: float, *, settings:
     gates = _gates(len(chosen), len(band.order), verdict, (before, after))
     reason = _reason(gates)
     return FocusResult(
-        out, phase, found.entropy, found.iterations, chosen, "unreliable" if reason else "ok", reason,
+        read_only(out), phase, found.entropy, found.iterations, chosen, "unreliable" if reason else "ok", reason,
         verdict.deviation, (before, after), gates, settings.method, (0, pixels.shape[1 - settings.axis]),
     )  # fmt: skip
 

@@ -17,7 +17,7 @@ from featreg.errors import InputError, ParameterError, suggest
 from featreg.io.masks import MaskLike, as_mask, holds_nodata
 from featreg.io.readers import Raster, read_raster
 from featreg.io.scales import SCALES, check_content, complex_pixels, real_pixels
-from featreg.types import BoolArray, Image
+from featreg.types import BoolArray, Image, read_only
 
 SMALLEST = 16
 
@@ -89,7 +89,7 @@ def _restricted(image: Image, mask: MaskLike | None, nodata: complex | None, sca
     valid &= image.mask
     pixels = np.where(valid, image.pixels, image.pixels.dtype.type(0))
     check_content(pixels, valid, image.name)
-    return replace(image, pixels=pixels, mask=valid)
+    return replace(image, pixels=read_only(pixels), mask=read_only(valid))
 
 
 def _image(
@@ -114,7 +114,7 @@ def _image(
         valid = np.ones(pixels.shape, np.bool_)
     else:
         pixels[~valid] = 0
-    return Image(pixels, valid, raster.geolocation, name, raster.dtype, scale)
+    return Image(read_only(pixels), read_only(valid), raster.geolocation, name, raster.dtype, scale)
 
 
 def _check_form(samples: NDArray[Any], name: str) -> None:

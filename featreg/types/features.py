@@ -12,7 +12,17 @@ from numpy.typing import ArrayLike, NDArray
 from featreg.errors import InputError
 from featreg.types import keypoints as opencv_keypoints
 from featreg.types import lafs as kornia_lafs
-from featreg.types.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays, column, finite, points, read_only
+from featreg.types.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    ReadOnlyArrays,
+    column,
+    finite,
+    kept,
+    points,
+    read_only,
+)
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -63,7 +73,7 @@ class Features(ReadOnlyArrays):
             d = self.descriptors
             if d.ndim != 2 or len(d) != n or d.dtype != wanted:
                 raise InputError(f"descriptors must be ({n}, D) {np.dtype(wanted)}, got {d.dtype} {d.shape}")
-            read_only(d)
+            put(self, "descriptors", kept(d))
 
     @classmethod
     def empty(cls) -> Self:
@@ -97,7 +107,7 @@ class Features(ReadOnlyArrays):
             angle=self.angle[rows],
             score=self.score[rows],
             level=self.level[rows],
-            descriptors=None if self.descriptors is None else self.descriptors[rows],
+            descriptors=None if self.descriptors is None else read_only(self.descriptors[rows]),
             index=None if self.index is None else self.index[rows],
             subpixel=None if self.subpixel is None else self.subpixel[rows],
         )
