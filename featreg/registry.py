@@ -13,9 +13,10 @@ import logging
 import pkgutil
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from importlib.metadata import entry_points
+from types import MappingProxyType
 from typing import Any, Literal, TypeVar, overload
 
 import numpy as np
@@ -31,7 +32,7 @@ from featreg.errors import (
 from featreg.interfaces import Descriptor, Detector, Filter, Matcher, Model, Nearest
 
 Kind = Literal["detector", "descriptor", "nearest", "matcher", "filter", "model"]
-KINDS: Mapping[str, type[Any]] = {
+KINDS: Mapping[Kind, type[Any]] = {
     "detector": Detector,
     "descriptor": Descriptor,
     "nearest": Nearest,
@@ -58,7 +59,8 @@ T = TypeVar("T")
 class Entry:
     """One registered plugin: how to make it, which parameters it takes, or why it cannot be had.
 
-    One that is `on_demand` can be made all the same: a parameter or a download supplies what is missing.
+    One that is `on_demand` can be made all the same: a parameter or a download supplies what is missing. `describes`
+    is that of its `Detector`. `declared` holds what a family's table says of each parameter: range, choices, meaning.
     """
 
     kind: str
@@ -69,6 +71,8 @@ class Entry:
     summary: str = ""
     unavailable: str = ""
     on_demand: bool = False
+    describes: str | None = None
+    declared: Mapping[str, Any] = field(default_factory=dict)
 
 
 _entries: dict[tuple[str, str], Entry] = {}
@@ -89,11 +93,10 @@ def register(name: str, *, unavailable: str = "") -> Callable[[type[T]], type[T]
     """
 
     def add(cls: type[T]) -> type[T]:
-        kinds = [k for k, base in KINDS.items() if issubclass(cls, base)]
-        if len(kinds) != 1:
-            raise PluginError(f"plugin '{name}' ({cls.__module__}) must extend exactly one of {', '.join(KINDS)}")
-        defaults = {} if kinds[0] == "model" else _defaults(name, cls)
-        _add(Entry(kinds[0], name, cls, cls.__module__, defaults, _first_line(cls), unavailable))
+        kind = kind_of(cls, name)
+        defaults = {} if kind == "model" else _defaults(name, cls)
+        describes = getattr(cls, "describes", None)
+        _add(Entry(kind, name, cls, cls.__module__, defaults, _first_line(cls), unavailable, describes=describes))
         return cls
 
     return add
@@ -109,12 +112,23 @@ def register_family(
     module: str,
     unavailable: str = "",
     on_demand: bool = False,
+    describes: str | None = None,
+    declared: Mapping[str, Any] = MappingProxyType({}),
 ) -> None:
     """Add one member of a third-party family from a table: `factory(**parameters)` makes the plugin.
 
-    `unavailable` and `on_demand` are those of `Entry`.
+    `unavailable`, `on_demand`, `describes` and `declared` are those of `Entry`.
+    `featreg.interop.family.register_table` does so for every row of a table.
     """
-    _add(Entry(kind, name, factory, module, dict(parameters), summary, unavailable, on_demand))
+    _add(Entry(kind, name, factory, module, dict(parameters), summary, unavailable, on_demand, describes, declared))
+
+
+def kind_of(cls: type[Any], name: str) -> Kind:
+    """Return the kind of a class that is to be registered under `name`, or raise `PluginError` where it has none."""
+    kinds: list[Kind] = [kind for kind, base in KINDS.items() if issubclass(cls, base)]
+    if len(kinds) != 1:
+        raise PluginError(f"plugin '{name}' ({cls.__module__}) must extend exactly one of {', '.join(KINDS)}")
+    return kinds[0]
 
 
 def available(kind: str) -> list[str]:

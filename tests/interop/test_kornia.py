@@ -345,7 +345,7 @@ def test_keynet_reports_the_centres_of_its_pixels(monkeypatch: pytest.MonkeyPatc
     from scipy.spatial import cKDTree
 
     table = sys.modules["featreg.detectors.kornia"].TABLE
-    row = replace(table["kornia-keynet"], build=lambda v: library.MultiResolutionDetector(library.BlobHessian()))
+    row = replace(table["kornia-keynet"], build=lambda creator, values: library.MultiResolutionDetector(library.BlobHessian()))
     monkeypatch.setitem(table, "kornia-keynet", replace(row, files=None))
     featreg_kornia._network.cache_clear()
     try:
