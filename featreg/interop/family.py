@@ -2,7 +2,7 @@
 
 A room's file holds the table and one class that runs any row of it:
 
-    TABLE = {"toy-corners": Row("Corners", "Corners of toys", {"n_features": N_FEATURES, "k": Parameter(0.04, Gt(0))})}
+    TABLE = {"toy-corners": Row("Corners", "Corners of toys", {**N_FEATURES, "k": Parameter(0.04, Gt(0))})}
 
     @register_table
     class ToyDetector(Part, Detector):

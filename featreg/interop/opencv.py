@@ -193,7 +193,8 @@ class Algorithm(Row):
 
     def form(self, values: Mapping[str, Any]) -> tuple[str, int]:
         """Norm and length (numbers or bytes) of the descriptors with these values."""
-        made = self.make(values)
+        with clear_errors(self.creator):
+            made = self.make(values)
         return "l2" if made.descriptorType() else "hamming", made.descriptorSize()
 
 
