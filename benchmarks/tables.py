@@ -76,7 +76,7 @@ def main() -> None:
     print(f"## {given.table.replace('table', 'Table ')}, {len(pairs)} pair{'s' * (len(pairs) > 1)}\n")
     print(table.to_markdown(layout=given.table))
     if given.report:
-        from featreg.report.study_page import write_study_report
+        from featreg.report.from_study import write_study_report
 
         write_study_report(Path(given.report), study)
     if table.failed:

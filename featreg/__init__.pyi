@@ -3,7 +3,7 @@
 from ._version import __version__ as __version__
 from .errors import FeatregError as FeatregError
 from .exports.formats import export as export
-from .exports.reading import read_tie_points as read_tie_points
+from .exports.formats import read_tie_points as read_tie_points
 from .focusing.backprojection import GroundGrid as GroundGrid
 from .focusing.backprojection import back_project as back_project
 from .focusing.backprojection import carrier as carrier

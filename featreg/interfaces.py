@@ -9,6 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
@@ -20,7 +21,21 @@ from featreg.types import BoolArray, Features, FloatArray, Image, IntArray, Matc
 REACH = 96.0
 
 
-class Detector(ABC):
+class Plugin(ABC):  # noqa: B024  # its kinds have the abstract methods
+    """What every plugin may say of itself beside its parameters; nothing of it has to be said."""
+
+    #: Parameters that differ from their defaults where images are worked on in blocks, unless they are given.
+    block_parameters: ClassVar[Mapping[str, Any]] = MappingProxyType({})
+    #: False where nothing is compiled at the first call, so that `featreg.warm_up` leaves the plugin out.
+    compiled: ClassVar[bool] = True
+
+    @property
+    def parts(self) -> tuple[Plugin, ...]:
+        """The plugins that this one is made of; their code decides its results too."""
+        return ()
+
+
+class Detector(Plugin):
     """Finds keypoints in one image."""
 
     #: Of one that can describe its points at once: its parameter that is set to False where a descriptor is asked for.
@@ -54,7 +69,7 @@ class Detector(ABC):
         return [] if image is None else self.detect_features(image).to_keypoints()
 
 
-class Descriptor(ABC):
+class Descriptor(Plugin):
     """Describes keypoints of one image."""
 
     @abstractmethod
@@ -81,7 +96,7 @@ class Descriptor(ABC):
         return described.to_keypoints(), described.descriptors if len(described) else None
 
 
-class Nearest(ABC):
+class Nearest(Plugin):
     """Pairs the descriptors of two images."""
 
     @abstractmethod
@@ -89,8 +104,13 @@ class Nearest(ABC):
         """Return ((M, 2) int64 rows of reference and secondary, (M,) float64 score, higher is better)."""
 
 
-class Matcher(ABC):
+class Matcher(Plugin):
     """The one matcher interface: a pure source of tie points."""
+
+    @property
+    def complex_only(self) -> bool:
+        """Whether both images must be complex."""
+        return False
 
     @abstractmethod
     def match(self, reference: Image, secondary: Image) -> Matches:
@@ -106,8 +126,9 @@ class Matcher(ABC):
 class FilterContext:
     """What a filter may know beside the matches.
 
-    `reference_shape` and `secondary_shape` are (H, W); `model` is the class to be fitted; `rng` is the only source of
-    randomness; `initial` is the model known beforehand, if any.
+    `reference_shape` and `secondary_shape` are (H, W) of what the matches lie in, images or the windows of a block;
+    `model` is the class to be fitted; `rng` is the only source of randomness; `initial` is the model known beforehand,
+    if any, in the same pixels as the matches.
     """
 
     reference_shape: tuple[int, int]
@@ -117,7 +138,7 @@ class FilterContext:
     initial: Model | None = None
 
 
-class Filter(ABC):
+class Filter(Plugin):
     """Keeps the tie points that agree with each other."""
 
     #: True where the filter looks at neighbourhoods only, so that a scene may run it block by block.

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,24 +12,27 @@ from typing import Any
 import numpy as np
 
 from featreg.errors import InputError, ParameterError
-from featreg.exports.reading import read_tie_points
-from featreg.focusing.inputs import Focus, focused_inputs
+from featreg.focusing.inputs import Focus, check_method, focused_input, focused_inputs
 from featreg.geometry import as_model
 from featreg.interfaces import Matcher, Model
 from featreg.io import ImageLike, as_image
+from featreg.io.images import small_image
 from featreg.io.masks import MaskLike
-from featreg.io.raster_source import open_source, pixel_count
-from featreg.pipeline.assembly import DEFAULT_METHOD, assemble
+from featreg.io.raster_source import ImageSource, open_source
+from featreg.pipeline.assembly import DEFAULT_METHOD, assemble, assemble_fit
+from featreg.pipeline.feature_matcher import FeatureMatcher
+from featreg.pipeline.keywords import of_pipeline
 from featreg.pipeline.pipeline import Pipeline
 from featreg.results.registration import Registration
+from featreg.runtime.cluster import dask_client
+from featreg.runtime.threads import check_count, limited_threads
 from featreg.runtime.timing import collecting, stage
-from featreg.types import Image, Matches
+from featreg.runtime.watching import Canceller, Progress, cancellable
+from featreg.types import FloatArray, Image, Matches
 
 #: Images of more pixels are worked on in blocks of so many pixels a side.
 MOST_PIXELS = 4_000_000
 BLOCK = 600
-#: Ways of working that only blocks have.
-BLOCK_ONLY = ("executor", "dem", "height", "resume")
 
 logger = logging.getLogger(__name__)
 
@@ -50,13 +54,15 @@ def match(
     scale: str | None = None,
     focus: Focus | None = None,
     block: int | bool | None = None,
-    executor: Any = None,
-    workers: int | None = None,
     dem: str | Path | None = None,
     height: float | None = None,
+    executor: Any = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    threads: int | None = None,
     resume: str | Path | None = None,
-    progress: Callable[[int, int], None] | None = None,
-    cancel: Any = None,
+    progress: Progress | None = None,
+    cancel: Canceller | None = None,
     **keywords: Any,
 ) -> Registration:
     """Register two SAR images.
@@ -77,16 +83,19 @@ def match(
     focus : autofocus of complex images first: a method of `featreg.focus`, or a function from an `Image` to its result,
         which may know the azimuth axis or a carrier; an image whose focus is not trusted stays as it is
     block : side in pixels of the blocks in which to work, False for the whole images at once; None works in blocks of
-        600 where an image has more than 4 million pixels or one of the following is given (see docs/scenes.md). Then
-        `n_features` is the budget of a block (default 1000)
+        600 where an image has more than 4 million pixels, or where `dem`, `height` or the model asks for it (see
+        docs/scenes.md). Then `n_features` is the budget of a block (default 1000)
+    dem, height : heights of the ground for images with geolocation: an elevation model's file, or metres above the
+        ellipsoid (default 0); in blocks only
     executor, workers : what runs the blocks: "serial", "threads", "processes", a `concurrent.futures.Executor` or a
         `dask.distributed.Client`; None takes `workers` processes (default: every processor) where they can be forked
-        safely, else threads. The result is the same
-    dem, height : heights of the ground for images with geolocation: an elevation model's file, or metres above the
-        ellipsoid (default 0)
-    resume : folder in which finished blocks are kept, and looked for
-    progress : called with (blocks done, blocks in all)
-    cancel : an event; when set, the work on blocks stops with a `CancelledError`
+        safely, else threads. Of whole images `workers` is the most threads of the libraries. How the work is run, by
+        these and those below, never changes the result
+    scheduler : address of a dask scheduler that runs the blocks, in place of `executor`
+    threads : most threads of the libraries on whole images, in place of `workers`; a worker uses one
+    resume : folder in which finished blocks are kept, and looked for; of whole images nothing is kept
+    progress : called with (blocks done, blocks in all), of whole images with (steps done, steps in all)
+    cancel : an event; when set, the work stops between blocks or stages with a `CancelledError`
     keywords : replace a part (``detector="fast"``) or a parameter (``threshold=...``, ``**{"fsc.threshold": 2}``)
 
     Returns
@@ -97,42 +106,55 @@ def match(
     Raises
     ------
     InputError, UnknownNameError, ParameterError
-        An unreadable image, an unknown name, an unknown, ambiguous or impossible parameter.
+        An unreadable image, an unknown name, an unknown, ambiguous or impossible parameter, one that does nothing here.
+    CancelledError
+        `cancel` was set.
     """
-    if not isinstance(seed, int | np.integer) or seed < 0:
-        raise ParameterError(f"seed must be a whole number >= 0, got {seed!r}")
+    check_seed(seed)
+    for name, count in (("workers", workers), ("threads", threads)):
+        check_count(name, count)
     known = _initial(initial, search_radius)
-    work = {"executor": executor, "workers": workers, "dem": dem, "height": height, "resume": resume}
-    work |= {"progress": progress, "cancel": cancel}
-    size = _block_size(block, work, model, reference, secondary)
-    if size is not None:
-        if focus is not None:
-            raise ParameterError(
-                "focus works on whole images, not on blocks: focus the files first (featreg focus IN -o OUT), or ask "
-                "for the whole images at once (block=False, --whole)"
-            )
-        from featreg.scene.run import SceneOptions, assemble_scene, match_scene
+    search: Any = {"seed": int(seed), "initial": known, "search_radius": search_radius}
+    parts: Any = {"model": model, "refine": refine, "n_features": n_features, **keywords}
+    size = block_side(block, dem, height, model)
+    most = MOST_PIXELS if size is None else math.inf
+    given, masks = (reference, secondary), (reference_mask, secondary_mask)
+    reading: Any = {"nodata": nodata, "scale": scale}
+    images: list[Image | None] = [None, None]
+    with cancellable(cancel), collecting() as seconds, stage("read"):
+        if not size:
+            images = [small_image(i, most, mask=m, **reading) for i, m in zip(given, masks, strict=True)]
+    first, second = images
+    with dask_client(scheduler, executor) as runner:
+        if first is None or second is None:
+            if focus is not None:
+                raise ParameterError(
+                    "focus works on whole images, not on blocks: focus the files first (featreg focus IN -o OUT), or "
+                    "ask for the whole images at once (block=False, --whole)"
+                )
+            from featreg.scene.run import SceneOptions, match_scene
 
-        sources = (
-            open_source(reference, mask=reference_mask, nodata=nodata, scale=scale),
-            open_source(secondary, mask=secondary_mask, nodata=nodata, scale=scale),
-        )
-        pipeline = assemble_scene(method, model=model, refine=refine, n_features=n_features, **keywords)
-        options = SceneOptions(size, **work)
-        return match_scene(*sources, pipeline, options, seed=int(seed), initial=known, search_radius=search_radius)
-    pipeline = assemble(method, model=model, refine=refine, n_features=n_features, **keywords)
-    with collecting() as reading, stage("read"):
-        first = as_image(reference, mask=reference_mask, nodata=nodata, scale=scale)
-        second = as_image(secondary, mask=secondary_mask, nodata=nodata, scale=scale)
+            here, there = (
+                # A file is read by windows even where it was small enough to be read whole beside a large one.
+                open_source(i, mask=m, **reading) if image is None or isinstance(i, str | Path) else ImageSource(image)
+                for i, m, image in zip(given, masks, images, strict=True)
+            )
+            pipeline = assemble(method, blocks=True, **parts)
+            options = SceneOptions(size or BLOCK, runner, workers, dem, height, resume, progress, cancel)
+            return match_scene(here, there, pipeline, options, **search)
+    pipeline = assemble(method, **parts)
+    if resume is not None:
+        logger.warning("the images are matched whole, so nothing is kept in '%s': give block= for blocks", resume)
     focusing: dict[str, Any] = {}
-    if focus is not None:
-        with collecting() as seconds, stage("focus"):
-            first, second, focusing["focus"] = focused_inputs(first, second, focus)
-        reading |= seconds
-    result = pipeline.run(first, second, seed=int(seed), initial=known, search_radius=search_radius)
+    with cancellable(cancel), limited_threads(workers if threads is None else threads):
+        if focus is not None:
+            with collecting() as focused, stage("focus"):
+                first, second, focusing["focus"] = focused_inputs(first, second, focus)
+            seconds |= focused
+        result = pipeline.run(first, second, progress=progress, **search)
     return replace(
         result,
-        timings={**reading, **result.timings},
+        timings={**seconds, **result.timings},
         provenance={**result.provenance, "inputs": inputs_of(first, second), **focusing},
     )
 
@@ -160,17 +182,39 @@ def fit(
     -------
     Registration
     """
+    check_seed(seed)
     matches = points if isinstance(points, Matches) else _as_matches(points)
-    pipeline = assemble(_NoMatcher(), model=model, refine=False, filters=filters, **keywords)
+    pipeline = assemble_fit(model=model, filters=filters, **keywords)
     shapes = [
         given if given is not None else _outer_shape(xy)
         for given, xy in ((reference_shape, matches.reference_xy), (secondary_shape, matches.secondary_xy))
     ]
-    with collecting() as timings:
-        result = pipeline.finish(matches, shapes[0], shapes[1], seed=seed, timings=timings)
+    result = pipeline.fit(matches, shapes[0], shapes[1], seed=seed)
     sizes = [{"path": "tie points", "width": int(w), "height": int(h)} for h, w in shapes]
     inputs = dict(zip(("reference", "secondary"), sizes, strict=True))
-    return replace(result, provenance={**result.provenance, "method": "tie points", "inputs": inputs})
+    return replace(result, provenance={**result.provenance, "inputs": inputs})
+
+
+def keypoints_of(
+    image: ImageLike,
+    *,
+    mask: MaskLike | None = None,
+    nodata: complex | None = None,
+    scale: str | None = None,
+    focus: Focus | None = None,
+    **keywords: Any,
+) -> FloatArray | None:
+    """(N, 2) keypoints that a method looks at in an image, at most its budget; None where it has no detector.
+
+    `mask` is that of this image; the other keywords are those of `match` on which keypoints depend.
+    """
+    matcher = assemble(**keywords).matcher
+    if not isinstance(matcher, FeatureMatcher):
+        return None
+    whole = as_image(image, mask=mask, nodata=nodata, scale=scale)
+    if focus is not None and whole.is_complex:
+        whole, _ = focused_input(whole, focus)
+    return matcher.detector.detect_features(whole).best(matcher.n_features).xy
 
 
 def inputs_of(reference: Image, secondary: Image) -> dict[str, Any]:
@@ -188,29 +232,40 @@ def inputs_of(reference: Image, secondary: Image) -> dict[str, Any]:
     }
 
 
-def _block_size(
-    block: int | bool | None, work: Mapping[str, Any], model: Any, reference: ImageLike, secondary: ImageLike
-) -> int | None:
-    """Side of the blocks in which to work, or None for the whole images at once."""
-    asked = [name for name in BLOCK_ONLY if work[name] is not None]
+def check_seed(seed: Any) -> None:
+    """Raise where a seed is no whole number from 0 on."""
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise ParameterError(f"seed must be a whole number >= 0, got {seed!r}")
+
+
+def check_keywords(keywords: Mapping[str, Any]) -> None:
+    """Raise where keywords of `match` cannot be right whatever the images are: names, parameters, contradictions."""
+    known = {name: value for name, value in keywords.items() if value is not None}
+    check_seed(known.get("seed", 0))
+    size = block_side(known.get("block"), known.get("dem"), known.get("height"), known.get("model"))
+    for name in ("workers", "threads"):
+        check_count(name, known.get(name))
+    if isinstance(known.get("focus"), str):
+        check_method(known["focus"])
+    _initial(known.get("initial"), known.get("search_radius"))
+    assemble(**of_pipeline(keywords), blocks=None if size is None else bool(size))
+
+
+def block_side(block: Any, dem: Any, height: Any, model: Any) -> int | None:
+    """Side of the blocks in which to work, 0 for the whole images at once, None where their size decides."""
+    asked = [name for name, value in (("dem", dem), ("height", height)) if value is not None]
     asked += ["model='rpc-bias'"] if model == "rpc-bias" else []
     if block is False:
         if asked:
             raise ParameterError(f"block=False works on the whole images, {', '.join(asked)} is for blocks")
-        return None
-    if block is None or block is True:
-        large = block or asked or max(pixel_count(reference), pixel_count(secondary)) > MOST_PIXELS
-        return BLOCK if large else None
-    if not isinstance(block, int | np.integer):
-        raise ParameterError(f"block must be a whole number of pixels or False, got {block!r}")
+        return 0
+    if block is None:
+        return BLOCK if asked else None
+    if block is True:
+        return BLOCK
+    if not isinstance(block, int | np.integer) or block < 1:
+        raise ParameterError(f"block must be a whole number of pixels >= 1 or False, got {block!r}")
     return int(block)
-
-
-class _NoMatcher(Matcher):
-    """Stands for the user, who brings the tie points."""
-
-    def match(self, reference: Image, secondary: Image) -> Matches:
-        return Matches.empty()
 
 
 def _initial(initial: Any, search_radius: float | None) -> Model | None:
@@ -229,6 +284,8 @@ def _initial(initial: Any, search_radius: float | None) -> Model | None:
 
 def _as_matches(points: Any) -> Matches:
     if isinstance(points, str | Path):
+        from featreg.exports.formats import read_tie_points
+
         return read_tie_points(points)
     try:
         array = np.asarray(points, np.float64)

@@ -16,7 +16,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from importlib.metadata import entry_points
-from types import MappingProxyType
 from typing import Any, Literal, TypeVar, overload
 
 import numpy as np
@@ -59,8 +58,8 @@ T = TypeVar("T")
 class Entry:
     """One registered plugin: how to make it, which parameters it takes, or why it cannot be had.
 
-    One that is `on_demand` can be made all the same: a parameter or a download supplies what is missing. `describes`
-    is that of its `Detector`. `declared` holds what a family's table says of each parameter: range, choices, meaning.
+    One that is `on_demand` can be made all the same: a parameter or a download supplies what is missing.
+    `block_parameters` and `compiled` are those of `featreg.interfaces.Plugin`, `describes` is that of `Detector`.
     """
 
     kind: str
@@ -71,8 +70,9 @@ class Entry:
     summary: str = ""
     unavailable: str = ""
     on_demand: bool = False
+    block_parameters: Mapping[str, Any] = field(default_factory=dict)
+    compiled: bool = True
     describes: str | None = None
-    declared: Mapping[str, Any] = field(default_factory=dict)
 
 
 _entries: dict[tuple[str, str], Entry] = {}
@@ -95,8 +95,8 @@ def register(name: str, *, unavailable: str = "") -> Callable[[type[T]], type[T]
     def add(cls: type[T]) -> type[T]:
         kind = kind_of(cls, name)
         defaults = {} if kind == "model" else _defaults(name, cls)
-        describes = getattr(cls, "describes", None)
-        _add(Entry(kind, name, cls, cls.__module__, defaults, _first_line(cls), unavailable, describes=describes))
+        said = {key: getattr(cls, key) for key in ("block_parameters", "compiled", "describes") if hasattr(cls, key)}
+        _add(Entry(kind, name, cls, cls.__module__, defaults, _first_line(cls), unavailable, **said))
         return cls
 
     return add
@@ -112,15 +112,29 @@ def register_family(
     module: str,
     unavailable: str = "",
     on_demand: bool = False,
+    block_parameters: Mapping[str, Any] | None = None,
+    compiled: bool = True,
     describes: str | None = None,
-    declared: Mapping[str, Any] = MappingProxyType({}),
 ) -> None:
     """Add one member of a third-party family from a table: `factory(**parameters)` makes the plugin.
 
-    `unavailable`, `on_demand`, `describes` and `declared` are those of `Entry`.
-    `featreg.interop.family.register_table` does so for every row of a table.
+    The other arguments are those of `Entry`. `featreg.interop.family.register_table` does so for every row of a table.
     """
-    _add(Entry(kind, name, factory, module, dict(parameters), summary, unavailable, on_demand, describes, declared))
+    _add(
+        Entry(
+            kind,
+            name,
+            factory,
+            module,
+            dict(parameters),
+            summary,
+            unavailable,
+            on_demand,
+            dict(block_parameters or {}),
+            compiled,
+            describes,
+        )
+    )
 
 
 def kind_of(cls: type[Any], name: str) -> Kind:

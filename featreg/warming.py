@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 from featreg.errors import FeatregError
+from featreg.presets import PRESETS
+from featreg.registry import entries, entry
 
 #: Small, yet with a scene in it that every method finds points on.
 SHAPE = (200, 200)
@@ -34,7 +37,7 @@ def warm_up() -> None:
 
     from featreg.focusing import focus
     from featreg.matching import match
-    from featreg.presets import PRESETS
+    from featreg.pipeline.assembly import assemble
     from featreg.products.resample import warp
     from featreg.simulate import sar_pair
 
@@ -43,17 +46,30 @@ def warm_up() -> None:
     mask[:20, :30] = False
     real = (pair.reference, pair.secondary)
     complex_ = tuple(image.astype(np.complex64) for image in real)
-    for method, preset in PRESETS.items():
-        # What kornia's methods compile of ours, the others do too.
-        if method.startswith("kornia-"):
-            continue
-        coherent = preset.matcher is not None and preset.matcher.parameters.get("tie_points") == "cc"
+    for keywords in _methods():
+        matcher = assemble(**keywords).matcher
+        images = complex_ if matcher is not None and matcher.complex_only else real
         for valid in (None, mask):
-            match(*(complex_ if coherent else real), method=method, reference_mask=valid, secondary_mask=valid)
+            match(*images, **keywords, reference_mask=valid, secondary_mask=valid)
     result = match(*real, refine=False)
     for image in (real[1], complex_[1]):
         warp(result, image, like=SHAPE)
     focus(complex_[1])
+
+
+def _methods() -> Iterator[dict[str, Any]]:
+    """Keywords of `match` that run every plugin which compiles something: the presets', and those in no preset."""
+    used: set[tuple[str, str]] = set()
+    for method, preset in PRESETS.items():
+        steps = [*preset.parts, *(("filter", part) for part in preset.filters)]
+        used.update((kind, part.name) for kind, part in steps)
+        found = [entry(kind, part.name) for kind, part in steps]
+        if not any(e.unavailable for e in found) and all(e.compiled for e in found):
+            yield {"method": method}
+    for kind in ("detector", "descriptor", "nearest", "matcher", "filter"):
+        for other in entries(kind):
+            if other.compiled and not other.unavailable and (kind, other.name) not in used:
+                yield {"filters": [other.name]} if kind == "filter" else {kind: other.name}
 
 
 def kernels_cached() -> Mapping[str, bool]:

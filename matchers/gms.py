@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from types import MappingProxyType
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -37,6 +39,8 @@ class Gms(Filter):
     """
 
     local: ClassVar[bool] = True
+    # A block holds fewer tie points than a whole image does.
+    block_parameters: ClassVar[Mapping[str, Any]] = MappingProxyType({"grid": 10})
 
     grid: int = 20
     threshold_factor: float = 6.0

@@ -65,6 +65,10 @@ class PatchGrid(Matcher):
         """Half a patch."""
         return max(self.patch, self.patch_width) / 2
 
+    @property
+    def complex_only(self) -> bool:
+        return self.tie_points == "cc"
+
     def match(self, reference: Image, secondary: Image) -> Matches:
         """Return one tie point per patch that holds something, wrong ones included.
 

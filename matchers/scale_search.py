@@ -12,7 +12,7 @@ from featreg import registry
 from featreg.errors import ParameterError
 from featreg.geometry import Similarity
 from featreg.geometry.robust import fit_consensus
-from featreg.interfaces import FailedFit, Matcher
+from featreg.interfaces import FailedFit, Matcher, Plugin
 from featreg.pipeline.feature_matcher import FeatureMatcher
 from featreg.pipeline.trust import distinct
 from featreg.registry import register
@@ -108,6 +108,10 @@ class ScaleSearch(Matcher):
         """The ratios that are tried, from small to large, 1 among them."""
         half = math.ceil(math.log(self.largest) / math.log(self.step) - 1e-9)
         return tuple(self.largest ** (i / half) for i in range(-half, half + 1)) if half else (1.0,)
+
+    @property
+    def parts(self) -> tuple[Plugin, ...]:
+        return (self._matcher(self.n_features),)
 
     def match(self, reference: Image, secondary: Image) -> Matches:
         """Return the matches at the best scale; empty where no scale has a consensus, or where two rival ones do."""

@@ -102,6 +102,10 @@ class TargetCentroids(Matcher):
             )
         self._targets(Image(np.zeros((1, 1), np.float32), np.ones((1, 1), np.bool_)))
 
+    @property
+    def complex_only(self) -> bool:
+        return self.tie_points == "cc"
+
     def match(self, reference: Image, secondary: Image) -> Matches:
         """Return one tie point per target, wrong ones included; none where the targets cannot be associated.
 

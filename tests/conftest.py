@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -95,8 +96,9 @@ def located_pair(tmp_path_factory: pytest.TempPathFactory) -> LocatedPair:
 
 @pytest.fixture(scope="session")
 def realdata() -> Path:
-    """The folder of real SAR images; tests that need it are skipped where it is absent."""
-    folder = Path(__file__).resolve().parents[2] / "shared" / "data"
+    """The folder of real SAR images that FEATREG_DATA names; tests that need it are skipped where it is absent."""
+    usual = Path(__file__).resolve().parents[2] / "shared" / "data"
+    folder = Path(os.environ.get("FEATREG_DATA", usual))
     if not folder.is_dir():
         pytest.skip(f"no real images at {folder}")
     return folder

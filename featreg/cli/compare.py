@@ -9,32 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from featreg.cli import study
-from featreg.cli.options import (
-    FeaturesOption,
-    ModelOption,
-    NodataOption,
-    RefineOption,
-    ScaleOption,
-    SeedOption,
-    SetOption,
-    parse_settings,
-)
-from featreg.cli.study import (
-    FormatOption,
-    IsolateOption,
-    LayoutOption,
-    LimitOption,
-    MetricsOption,
-    OutOption,
-    RepeatsOption,
-    ReportOption,
-    ResumeOption,
-    SaveOption,
-    ThresholdOption,
-    TimesOption,
-    TruthOption,
-    WorkersOption,
-)
+from featreg.cli.option_sets import takes
+from featreg.cli.options import MethodOptions, parse_settings
+from featreg.cli.study import OutputOptions, RunOptions
 from featreg.errors import FeatregError, ParameterError
 
 if TYPE_CHECKING:
@@ -44,6 +21,7 @@ ALL = "all"
 logger = logging.getLogger(__name__)
 
 
+@takes
 def compare(
     context: typer.Context,
     images: Annotated[
@@ -70,63 +48,44 @@ def compare(
             show_default=False,
         ),
     ] = None,
-    truth: TruthOption = None,
-    model: ModelOption = None,
-    settings: SetOption = None,
-    seed: SeedOption = 0,
-    repeats: RepeatsOption = 1,
-    n_features: FeaturesOption = None,
-    refine: RefineOption = None,
-    scale: ScaleOption = None,
-    nodata: NodataOption = None,
-    threshold: ThresholdOption = 1.5,
-    metrics: MetricsOption = None,
-    workers: WorkersOption = 1,
-    times: TimesOption = None,
-    time_limit: LimitOption = None,
-    isolate: IsolateOption = True,
-    resume: ResumeOption = None,
-    layout_format: FormatOption = "md",
-    layout: LayoutOption = None,
-    out: OutOption = None,
-    report: ReportOption = None,
-    save: SaveOption = None,
+    layout: Annotated[
+        str | None,
+        typer.Option(
+            "--layout",
+            metavar="NAME",
+            help="table2 or table3: the columns of these tables of the SAR-ORB paper.",
+            show_default=False,
+        ),
+    ] = None,
+    *,
+    method: MethodOptions,
+    how: RunOptions,
+    output: OutputOptions,
 ) -> None:
     """Print a table of methods on image pairs.
 
     Exit code 4 means that a method failed with an error on a pair; its row says which.
     """
-    output = study.Output(layout_format, layout, out, report, save, resume)
-    output.check()
+    output.check(layout)
     if experiment is not None:
         _refuse_beside_file(context)
-        found = _from_file(experiment, metrics, layout, times)
+        found = _from_file(experiment, how.metrics, layout, how.times)
     else:
         if methods is None:
             raise ParameterError("missing option '--methods'; see 'featreg compare --help'")
         from featreg.study.experiment import Experiment
-        from featreg.study.protocol import Protocol
 
-        parameters = parse_settings(settings)
+        parameters = parse_settings(method.settings, (*method.keywords(), "method", "seed"))
         names = _names(methods)
         found = Experiment(
-            study.pairs_of(images or [], truth or []),
+            study.pairs_of(images or [], how.truth or []),
             _usable(parameters) if names == [ALL] else names,
             parameters,
-            seeds=range(seed, seed + repeats),
-            protocol=Protocol(
-                threshold=threshold,
-                n_features=n_features,
-                model=model,
-                refine=refine,
-                scale=scale,
-                nodata=nodata,
-                time_limit=time_limit,
-                timing=workers == 1 if times is None else times,
-            ),
-            metrics=study.metrics_of(metrics, layout),
+            seeds=how.seeds(method),
+            protocol=how.protocol(method),
+            metrics=study.metrics_of(how.metrics, layout),
         )
-    study.run(found, output, "comparing", workers=workers, isolate=isolate)
+    study.run(found, how, output, "comparing", layout)
 
 
 def _names(methods: str) -> list[str]:
@@ -135,13 +94,13 @@ def _names(methods: str) -> list[str]:
 
 def _usable(parameters: dict[str, Any]) -> list[str]:
     """Every method that can be used here with these parameters; a warning names the others."""
-    from featreg.pipeline.assembly import assemble
+    from featreg.matching import check_keywords
     from featreg.registry import available
 
     found = []
     for name in available("method"):
         try:
-            assemble(name, **parameters)
+            check_keywords({"method": name, **parameters})
         except FeatregError as error:
             logger.warning("method %s is left out: %s", name, error)
         else:

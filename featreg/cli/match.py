@@ -6,14 +6,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from featreg.cli.option_sets import takes
 from featreg.cli.options import (
-    FeaturesOption,
-    ModelOption,
-    NodataOption,
-    RefineOption,
-    ScaleOption,
-    SeedOption,
-    SetOption,
+    MethodOptions,
     announce_compiling,
     check_output,
     distance,
@@ -22,21 +17,9 @@ from featreg.cli.options import (
     progress,
     whole_number,
 )
-from featreg.cli.scene import (
-    BlockOption,
-    DemOption,
-    HeightOption,
-    ResumeOption,
-    SchedulerOption,
-    WholeOption,
-    block_progress,
-    check_block_options,
-    cluster,
-    image_to_draw,
-    kept_when_interrupted,
-    may_be_blocks,
-)
+from featreg.cli.scene import BlockOptions, block_progress, image_to_draw, kept_when_interrupted, may_be_blocks
 from featreg.errors import InputError, ParameterError
+from featreg.pipeline.keywords import KEYWORDS
 
 if TYPE_CHECKING:
     from featreg.results.registration import Registration
@@ -44,17 +27,14 @@ if TYPE_CHECKING:
 RADIUS = 20.0
 
 
+@takes
 def match(
     reference: Annotated[str, typer.Argument(metavar="REF", help="Reference image.", show_default=False)],
     secondary: Annotated[str, typer.Argument(metavar="SEC", help="Secondary image.", show_default=False)],
     method: Annotated[str, typer.Option("--method", metavar="NAME", help="One of `featreg list method`.")] = "sar-orb",
-    model: ModelOption = None,
-    settings: SetOption = None,
-    seed: SeedOption = 0,
-    n_features: FeaturesOption = None,
-    refine: RefineOption = None,
-    scale: ScaleOption = None,
-    nodata: NodataOption = None,
+    *,
+    common: MethodOptions,
+    blocks: BlockOptions,
     focus: Annotated[
         str | None,
         typer.Option(
@@ -110,12 +90,6 @@ def match(
             show_default="every processor, or as they choose",
         ),
     ] = None,
-    block: BlockOption = None,
-    whole: WholeOption = False,
-    scheduler: SchedulerOption = None,
-    dem: DemOption = None,
-    height: HeightOption = None,
-    resume: ResumeOption = None,
 ) -> None:
     """Register one SAR image to another.
 
@@ -125,19 +99,20 @@ def match(
     still written, cannot be trusted. Large images are worked on in blocks, which can be spread over processes or a
     cluster and kept in a folder, so that a run that was stopped goes on where it was.
     """
-    inputs = [f for f in (reference, secondary, initial, mask_reference, mask_secondary, dem) if f is not None]
+    given = (reference, secondary, initial, mask_reference, mask_secondary, blocks.dem)
+    inputs = [file for file in given if file is not None]
     check_output(json_file, "--json", inputs=inputs)
     check_output(plot, "--plot", suffixes=[".png"], inputs=inputs)
-    keywords = parse_settings(settings)
+    settings = parse_settings(common.settings, (keyword.name for keyword in KEYWORDS if keyword.option))
     if initial is None and search_radius is not None:
         raise ParameterError("--search-radius needs --initial RESULT.json, the result around which to search")
-    check_block_options(block, whole, workers, scheduler, dem, height, resume)
-    blocks = may_be_blocks(whole, [block, scheduler, dem, height, resume], [reference, secondary])
-    if blocks:
+    blocks.check(workers)
+    in_blocks = may_be_blocks(blocks, [reference, secondary])
+    if in_blocks:
         from featreg.runtime.executors import keep_freed_memory
 
         keep_freed_memory()
-    with kept_when_interrupted(resume), limited_threads(workers, 1 if blocks else None), cluster(scheduler) as client:
+    with kept_when_interrupted(blocks.resume), limited_threads(workers, 1 if in_blocks else None):
         from featreg.matching import match as register
         from featreg.results.registration import Registration
 
@@ -149,25 +124,17 @@ def match(
             reference,
             secondary,
             method=method,
-            model=model,
-            seed=seed,
-            refine=refine,
-            n_features=n_features,
+            seed=common.seed,
             initial=None if initial is None else _known_model(Registration.from_json(initial), initial),
             search_radius=search_radius,
             reference_mask=mask_reference,
             secondary_mask=mask_secondary,
-            nodata=nodata,
-            scale=scale,
             focus=focus,
-            block=False if whole else block,
-            executor=client,
             workers=workers,
-            dem=dem,
-            height=height,
-            resume=resume,
-            progress=block_progress(),
-            **keywords,
+            progress=block_progress() if in_blocks else None,
+            **common.keywords(),
+            **blocks.keywords(),
+            **settings,
         )
         written = []
         if json_file is not None:
@@ -176,8 +143,8 @@ def match(
         if plot is not None:
             from featreg.pictures.drawing import draw_registration
 
-            here, factor = image_to_draw(reference, mask_reference, nodata, scale)
-            there, far_factor = image_to_draw(secondary, mask_secondary, nodata, scale)
+            here, factor = image_to_draw(reference, mask_reference, common.nodata, common.scale)
+            there, far_factor = image_to_draw(secondary, mask_secondary, common.nodata, common.scale)
             draw_registration(here, there, result, plot, factors=(factor, far_factor))
             written.append(plot)
     typer.echo(summary(result, written))
@@ -213,7 +180,7 @@ def summary(result: Registration, written: list[str]) -> str:
         counts = ", ".join(f"{blocks[name]} {name}" for name in ("computed", "reused", "skipped", "failed"))
         lines.append(f"  blocks      {blocks['total']} of about {blocks['size']} px: {counts}")
     stages = ", ".join(f"{name} {seconds:.2f}" for name, seconds in result.timings.items())
-    lines.append(f"  seconds     {computing_time(result):.2f}: {stages}")
+    lines.append(f"  seconds     {computing_time(result.timings):.2f}: {stages}")
     if written:
         lines.append(f"  written     {', '.join(written)}")
     return "\n".join(lines)

@@ -7,29 +7,16 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
 import typer
 
 from featreg.errors import InputError, ParameterError, suggest
+from featreg.pipeline.keywords import BY_NAME
 
 COMPILING = "compiling kernels, the first time only (about half a minute)"
-#: Keywords of `featreg.match` that are options of their own on the command line.
-OWN_OPTIONS = {
-    "method": "--method",
-    "model": "--model",
-    "seed": "--seed",
-    "refine": "--refine or --no-refine",
-    "n_features": "--n-features",
-    "scale": "--scale",
-    "focus": "--focus",
-    "nodata": "--nodata",
-    "initial": "--initial",
-    "search_radius": "--search-radius",
-    "reference_mask": "--mask-reference",
-    "secondary_mask": "--mask-secondary",
-}
 WORDS = {"true": True, "false": False, "none": None, "inf": float("inf"), "-inf": float("-inf"), "nan": float("nan")}
 #: Read by the numeric libraries when they are first imported.
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
@@ -66,41 +53,6 @@ def distance(text: Any) -> float:
     return value
 
 
-ModelOption: TypeAlias = Annotated[
-    str | None,
-    typer.Option(
-        "--model",
-        metavar="NAME",
-        help="Geometric model: translation, rigid, similarity, affine, homography, polynomial2, polynomial3, "
-        "residual-field or, for scenes with RPCs, rpc-bias.",
-        show_default="affine",
-    ),
-]
-SetOption: TypeAlias = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="KEY=VALUE",
-        help="Replace a part (detector=fast, filters=gms,fsc) or a parameter (fsc.threshold=2) of the method; may be "
-        "repeated. `featreg list` names them all.",
-        show_default=False,
-    ),
-]
-SeedOption: TypeAlias = Annotated[
-    int,
-    typer.Option(
-        "--seed", parser=whole_number(0), metavar="N", help="Of everything random; equal seeds give equal results."
-    ),
-]
-ScaleOption: TypeAlias = Annotated[
-    str | None,
-    typer.Option(
-        "--scale",
-        metavar="SCALE",
-        help="What the samples are: amplitude, intensity or db.",
-        show_default="told from the samples",
-    ),
-]
 NodataOption: TypeAlias = Annotated[
     float | None,
     typer.Option(
@@ -111,26 +63,74 @@ NodataOption: TypeAlias = Annotated[
         show_default="what the file says",
     ),
 ]
-FeaturesOption: TypeAlias = Annotated[
-    int | None,
-    typer.Option(
-        "--n-features",
-        parser=whole_number(1),
-        metavar="N",
-        help="Most features per image and most tie points.",
-        show_default="5000",
-    ),
-]
-RefineOption: TypeAlias = Annotated[
-    bool | None,
-    typer.Option(
-        "--refine/--no-refine", help="Sub-pixel tie points around the first model.", show_default="as the method has it"
-    ),
-]
 
 
-def parse_settings(given: Sequence[str] | None) -> dict[str, Any]:
-    """Return the keywords of `--set key=value` options.
+@dataclass(frozen=True)
+class MethodOptions:
+    """What `match`, `compare` and `sweep` all say of a method and of how images are read."""
+
+    model: Annotated[
+        str | None,
+        typer.Option(
+            "--model",
+            metavar="NAME",
+            help="Geometric model: translation, rigid, similarity, affine, homography, polynomial2, polynomial3, "
+            "residual-field or, for scenes with RPCs, rpc-bias.",
+            show_default="affine",
+        ),
+    ] = None
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="Replace a part (detector=fast, filters=gms,fsc) or a parameter (fsc.threshold=2) of the method; may "
+            "be repeated. `featreg list` names them all.",
+            show_default=False,
+        ),
+    ] = None
+    seed: Annotated[
+        int,
+        typer.Option(
+            "--seed", parser=whole_number(0), metavar="N", help="Of everything random; equal seeds give equal results."
+        ),
+    ] = 0
+    n_features: Annotated[
+        int | None,
+        typer.Option(
+            "--n-features",
+            parser=whole_number(1),
+            metavar="N",
+            help="Most features per image and most tie points; in blocks, of each block.",
+            show_default="5000, in blocks 1000",
+        ),
+    ] = None
+    refine: Annotated[
+        bool | None,
+        typer.Option(
+            "--refine/--no-refine",
+            help="Sub-pixel tie points around the first model.",
+            show_default="as the method has it",
+        ),
+    ] = None
+    scale: Annotated[
+        str | None,
+        typer.Option(
+            "--scale",
+            metavar="SCALE",
+            help="What the samples are: amplitude, intensity or db.",
+            show_default="told from the samples",
+        ),
+    ] = None
+    nodata: NodataOption = None
+
+    def keywords(self) -> dict[str, Any]:
+        """Those that are keywords of `featreg.match` and of a protocol alike."""
+        return {name: getattr(self, name) for name in ("model", "n_features", "refine", "scale", "nodata")}
+
+
+def parse_settings(given: Sequence[str] | None, offered: Iterable[str]) -> dict[str, Any]:
+    """Return the keywords of `--set key=value` options; `offered` are those that the command has options for.
 
     A value is read as JSON where it is JSON (numbers, true, false, null, lists, quoted text), as a number, or as text;
     `filters` takes names with commas between them.
@@ -138,16 +138,21 @@ def parse_settings(given: Sequence[str] | None) -> dict[str, Any]:
     Raises
     ------
     ParameterError
-        No "=", the same key twice, or a key that has an option of its own.
+        No "=", the same key twice, a key that has an option of its own, or one that no text can stand for.
     """
+    offered = set(offered)
     settings: dict[str, Any] = {}
     for text in given or ():
         key, sign, value = text.partition("=")
         key = key.strip()
         if not sign or not key:
             raise ParameterError(f"--set takes KEY=VALUE, as in --set fsc.threshold=2, got '{text}'")
-        if key in OWN_OPTIONS:
-            raise ParameterError(f"'{key}' has an option of its own: write {OWN_OPTIONS[key]} instead of --set {text}")
+        if key in offered:
+            raise ParameterError(
+                f"'{key}' has an option of its own: write {BY_NAME[key].option} instead of --set {text}"
+            )
+        if key in ("progress", "cancel"):
+            raise ParameterError(f"'{key}' is for Python only: progress is shown on a terminal, Ctrl-C stops the work")
         if key in settings:
             raise ParameterError(f"--set {key} is given twice")
         settings[key] = parse_value(value.strip())

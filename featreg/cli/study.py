@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
 from featreg.cli.options import (
+    MethodOptions,
     announce_compiling,
     check_folder,
     check_name,
@@ -22,7 +23,8 @@ from featreg.errors import InputError, ParameterError
 
 if TYPE_CHECKING:
     from featreg.study.experiment import Experiment
-    from featreg.study.study import Study
+    from featreg.study.experiment_results import Study
+    from featreg.study.protocol import Protocol
     from featreg.study.table import Table
 
 FORMATS = ("md", "csv", "latex", "json")
@@ -39,103 +41,82 @@ def seconds(text: Any) -> float:
     return value
 
 
-TruthOption: TypeAlias = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--truth",
-        metavar="FILE",
-        help="Where points really lie: a matrix, marked points, a flow or a result (.json, .txt, .csv, .npy, .points "
-        "of QGIS, .pts of ENVI), 'identity' for images on one grid, or 'geolocation' (or geolocation:HEIGHT, "
-        "geolocation:DEM) for what the files say of where they lie; once for all pairs, or once per pair.",
-        show_default=False,
-    ),
-]
-RepeatsOption: TypeAlias = Annotated[
-    int,
-    typer.Option("--repeats", parser=whole_number(1), metavar="N", help="Run with N seeds, from --seed on."),
-]
-MetricsOption: TypeAlias = Annotated[
-    str | None,
-    typer.Option(
-        "--metrics",
-        metavar="A,B,C",
-        help="Columns of the table instead of the usual ones, or with a + in front beside them, as in "
-        "+auc@3,recall,mma@3,act.detect.",
-        show_default=False,
-    ),
-]
-ThresholdOption: TypeAlias = Annotated[
-    float,
-    typer.Option("--threshold", parser=number, metavar="PX", help="Greatest distance of a correct match."),
-]
-WorkersOption: TypeAlias = Annotated[
-    int,
-    typer.Option("--workers", parser=whole_number(1), metavar="N", help="Processes that match, of one thread each."),
-]
-TimesOption: TypeAlias = Annotated[
-    bool | None,
-    typer.Option(
-        "--times/--no-times",
-        help="Measure times, one run after the other.",
-        show_default="only with one worker",
-    ),
-]
-LimitOption: TypeAlias = Annotated[
-    float | None,
-    typer.Option(
-        "--time-limit",
-        parser=seconds,
-        metavar="S",
-        help="Stop a method that takes longer on one pair; its row fails.",
-        show_default="none",
-    ),
-]
-IsolateOption: TypeAlias = Annotated[
-    bool,
-    typer.Option(
-        "--isolate/--no-isolate",
-        help="Run methods in processes of their own, so that one that hangs or dies costs its own rows only.",
-    ),
-]
-ResumeOption: TypeAlias = Annotated[
-    str | None,
-    typer.Option(
-        "--resume",
-        metavar="DIR",
-        help="Keep results in a folder and take them from there where nothing has changed.",
-        show_default=False,
-    ),
-]
-FormatOption: TypeAlias = Annotated[str, typer.Option("--format", metavar="FORMAT", help="md, csv, latex or json.")]
-LayoutOption: TypeAlias = Annotated[
-    str | None,
-    typer.Option(
-        "--layout",
-        metavar="NAME",
-        help="table2 or table3: the columns of these tables of the SAR-ORB paper.",
-        show_default=False,
-    ),
-]
-OutOption: TypeAlias = Annotated[
-    str | None,
-    typer.Option(
-        "--out",
-        "-o",
-        metavar="FILE",
-        help="Write the table too: .md, .csv, .tex, .json or .parquet.",
-        show_default=False,
-    ),
-]
-ReportOption: TypeAlias = Annotated[
-    str | None,
-    typer.Option("--report", metavar="FILE.html", help="Write a page to look at the results.", show_default=False),
-]
-SaveOption: TypeAlias = Annotated[
-    str | None,
-    typer.Option(
-        "--save", metavar="FILE", help="Write this experiment as .yaml or .toml, for --experiment.", show_default=False
-    ),
-]
+@dataclass(frozen=True)
+class RunOptions:
+    """How methods are run and scored."""
+
+    truth: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--truth",
+            metavar="FILE",
+            help="Where points really lie: a matrix, marked points, a flow or a result (.json, .txt, .csv, .npy, "
+            ".points of QGIS, .pts of ENVI), 'identity' for images on one grid, or 'geolocation' (or "
+            "geolocation:HEIGHT, geolocation:DEM) for what the files say of where they lie; once for all pairs, or "
+            "once per pair.",
+            show_default=False,
+        ),
+    ] = None
+    repeats: Annotated[
+        int,
+        typer.Option("--repeats", parser=whole_number(1), metavar="N", help="Run with N seeds, from --seed on."),
+    ] = 1
+    threshold: Annotated[
+        float,
+        typer.Option("--threshold", parser=number, metavar="PX", help="Greatest distance of a correct match."),
+    ] = 1.5
+    metrics: Annotated[
+        str | None,
+        typer.Option(
+            "--metrics",
+            metavar="A,B,C",
+            help="Columns of the table instead of the usual ones, or with a + in front beside them, as in "
+            "+auc@3,recall,mma@3,act.detect.",
+            show_default=False,
+        ),
+    ] = None
+    workers: Annotated[
+        int,
+        typer.Option(
+            "--workers", parser=whole_number(1), metavar="N", help="Processes that match, of one thread each."
+        ),
+    ] = 1
+    times: Annotated[
+        bool | None,
+        typer.Option(
+            "--times/--no-times",
+            help="Measure times, one run after the other.",
+            show_default="only with one worker",
+        ),
+    ] = None
+    time_limit: Annotated[
+        float | None,
+        typer.Option(
+            "--time-limit",
+            parser=seconds,
+            metavar="S",
+            help="Stop a method that takes longer on one pair; its row fails.",
+            show_default="none",
+        ),
+    ] = None
+    isolate: Annotated[
+        bool,
+        typer.Option(
+            "--isolate/--no-isolate",
+            help="Run methods in processes of their own, so that one that hangs or dies costs its own rows only.",
+        ),
+    ] = True
+
+    def protocol(self, method: MethodOptions) -> Protocol:
+        """The protocol that these options and those of the method state."""
+        from featreg.study.protocol import Protocol
+
+        timing = self.workers == 1 if self.times is None else self.times
+        return Protocol(threshold=self.threshold, time_limit=self.time_limit, timing=timing, **method.keywords())
+
+    def seeds(self, method: MethodOptions) -> range:
+        """The seeds of the repetitions."""
+        return range(method.seed, method.seed + self.repeats)
 
 
 def words(text: str | None, what: str, example: str) -> list[str]:
@@ -166,7 +147,7 @@ def metrics_of(text: str | None, layout: str | None) -> tuple[str, ...]:
 
 def pairs_of(images: Sequence[str], truth: Sequence[str]) -> list[dict[str, Any]]:
     """The image pairs of a command line: REF SEC [REF SEC ...], or one folder of pairs."""
-    from featreg.study.pairs import pairs_in
+    from featreg.study.image_pairs import pairs_in
 
     found: list[dict[str, Any]]
     if len(images) == 1 and Path(images[0]).is_dir():
@@ -190,31 +171,58 @@ def pairs_of(images: Sequence[str], truth: Sequence[str]) -> list[dict[str, Any]
 
 
 def check_images(experiment: Experiment) -> None:
-    """Read every image once, so that a wrong name or scale shows before anything is matched."""
-    from featreg.io import as_image
+    """Open every image once, so that a wrong name or scale shows before anything is matched."""
+    from featreg.io.raster_source import open_source
 
     protocol = experiment.protocol
     paths = [image for pair in experiment.resolved() for image in (pair.reference, pair.secondary)]
     for path in dict.fromkeys(paths):
-        as_image(path, nodata=protocol.nodata, scale=protocol.scale)
+        open_source(path, nodata=protocol.nodata, scale=protocol.scale)
 
 
 @dataclass(frozen=True)
-class Output:
+class OutputOptions:
     """What is printed and written, and where results are kept."""
 
-    layout_format: str = "md"
-    layout: str | None = None
-    out: str | None = None
-    report: str | None = None
-    save: str | None = None
-    resume: str | None = None
+    layout_format: Annotated[str, typer.Option("--format", metavar="FORMAT", help="md, csv, latex or json.")] = "md"
+    out: Annotated[
+        str | None,
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="FILE",
+            help="Write the table too: .md, .csv, .tex, .json or .parquet.",
+            show_default=False,
+        ),
+    ] = None
+    report: Annotated[
+        str | None,
+        typer.Option("--report", metavar="FILE.html", help="Write a page to look at the results.", show_default=False),
+    ] = None
+    save: Annotated[
+        str | None,
+        typer.Option(
+            "--save",
+            metavar="FILE",
+            help="Write this experiment as .yaml or .toml, for --experiment.",
+            show_default=False,
+        ),
+    ] = None
+    resume: Annotated[
+        str | None,
+        typer.Option(
+            "--resume",
+            metavar="DIR",
+            help="Keep results in a folder and take them from there where nothing has changed.",
+            show_default=False,
+        ),
+    ] = None
 
-    def check(self) -> None:
+    def check(self, layout: str | None = None) -> None:
         """Raise where something could not be written or printed, before any work is done for it."""
         check_name(self.layout_format, FORMATS, "format")
-        if self.layout is not None:
-            check_name(self.layout, LAYOUTS, "layout")
+        if layout is not None:
+            check_name(layout, LAYOUTS, "layout")
             if self.layout_format == "json":
                 raise ParameterError("--layout is for --format md, csv or latex; JSON holds everything")
         check_output(self.out, "--out", suffixes=tuple(OUTPUTS))
@@ -224,29 +232,31 @@ class Output:
             path = Path(self.resume)
             check_folder(path if path.exists() else path.absolute().parent, f"--resume '{self.resume}'")
 
-    def write(self, study: Study) -> Table:
+    def write(self, study: Study, layout: str | None = None) -> Table:
         """Print the table of a study and write what was asked for."""
         table = study.table()
         if self.layout_format == "json":
             typer.echo(table.to_json(), nl=False)
         else:
             printed = {"md": table.to_markdown, "csv": table.to_csv, "latex": table.to_latex}[self.layout_format]
-            typer.echo(printed(layout=self.layout), nl=False)
+            typer.echo(printed(layout=layout), nl=False)
         if self.out is not None:
             getattr(table, OUTPUTS[Path(self.out).suffix.lower()])(self.out)
         if self.report is not None:
-            from featreg.report.study_page import write_study_report
+            from featreg.report.from_study import write_study_report
 
             write_study_report(self.report, study)
         return table
 
 
-def run(experiment: Experiment, output: Output, text: str, *, workers: int, isolate: bool) -> NoReturn:
+def run(
+    experiment: Experiment, how: RunOptions, output: OutputOptions, text: str, layout: str | None = None
+) -> NoReturn:
     """Run an experiment, print its table, write what was asked for, and leave with the exit code."""
     experiment.check()
     check_images(experiment)
     if output.save is not None:
         experiment.to_file(output.save)
     announce_compiling()
-    study = experiment.run(workers=workers, isolate=isolate, resume=output.resume, progress=counter(text))
-    raise typer.Exit(4 if output.write(study).failed else 0)
+    study = experiment.run(workers=how.workers, isolate=how.isolate, resume=output.resume, progress=counter(text))
+    raise typer.Exit(4 if output.write(study, layout).failed else 0)

@@ -7,39 +7,14 @@ from typing import Annotated, Any
 import typer
 
 from featreg.cli import study
-from featreg.cli.options import (
-    OWN_OPTIONS,
-    FeaturesOption,
-    ModelOption,
-    NodataOption,
-    RefineOption,
-    ScaleOption,
-    SeedOption,
-    SetOption,
-    parse_settings,
-    parse_value,
-)
-from featreg.cli.study import (
-    FormatOption,
-    IsolateOption,
-    LimitOption,
-    MetricsOption,
-    OutOption,
-    RepeatsOption,
-    ReportOption,
-    ResumeOption,
-    SaveOption,
-    ThresholdOption,
-    TimesOption,
-    TruthOption,
-    WorkersOption,
-)
+from featreg.cli.option_sets import takes
+from featreg.cli.options import MethodOptions, parse_settings, parse_value
+from featreg.cli.study import OutputOptions, RunOptions
 from featreg.errors import ParameterError
-
-#: Parameters of every method, which may be swept though they have options of their own.
-SWEPT = ("n_features", "model", "refine")
+from featreg.pipeline.keywords import BY_NAME
 
 
+@takes
 def sweep(
     images: Annotated[
         list[str],
@@ -61,60 +36,34 @@ def sweep(
     method: Annotated[
         str, typer.Option("--method", metavar="NAME", help="A name from `featreg list method`.")
     ] = "sar-orb",
-    truth: TruthOption = None,
-    model: ModelOption = None,
-    settings: SetOption = None,
-    seed: SeedOption = 0,
-    repeats: RepeatsOption = 1,
-    n_features: FeaturesOption = None,
-    refine: RefineOption = None,
-    scale: ScaleOption = None,
-    nodata: NodataOption = None,
-    threshold: ThresholdOption = 1.5,
-    metrics: MetricsOption = None,
-    workers: WorkersOption = 1,
-    times: TimesOption = None,
-    time_limit: LimitOption = None,
-    isolate: IsolateOption = True,
-    resume: ResumeOption = None,
-    layout_format: FormatOption = "md",
-    out: OutOption = None,
-    report: ReportOption = None,
-    save: SaveOption = None,
+    *,
+    common: MethodOptions,
+    how: RunOptions,
+    output: OutputOptions,
 ) -> None:
     """Print a table of one method over a grid of parameters.
 
     Exit code 4 means that a combination failed with an error on a pair; its row says which.
     """
-    output = study.Output(layout_format, None, out, report, save, resume)
     output.check()
     from featreg.study.experiment import Experiment
-    from featreg.study.protocol import Protocol
 
     points = parse_grid(grid)
-    parameters = parse_settings(settings)
+    offered = common.keywords()
+    parameters = parse_settings(common.settings, (*offered, "method", "seed"))
     for key in points:
-        if key in parameters or {"n_features": n_features, "model": model, "refine": refine}.get(key) is not None:
+        if key in parameters or offered.get(key) is not None:
             raise ParameterError(f"'{key}' is swept, so it cannot be set as well")
     found = Experiment(
-        study.pairs_of(images, truth or []),
+        study.pairs_of(images, how.truth or []),
         [method],
         parameters,
         points,
-        seeds=range(seed, seed + repeats),
-        protocol=Protocol(
-            threshold=threshold,
-            n_features=n_features,
-            model=model,
-            refine=refine,
-            scale=scale,
-            nodata=nodata,
-            time_limit=time_limit,
-            timing=workers == 1 if times is None else times,
-        ),
-        metrics=study.metrics_of(metrics, None),
+        seeds=how.seeds(common),
+        protocol=how.protocol(common),
+        metrics=study.metrics_of(how.metrics, None),
     )
-    study.run(found, output, "sweeping", workers=workers, isolate=isolate)
+    study.run(found, how, output, "sweeping")
 
 
 def parse_grid(given: list[str]) -> dict[str, list[Any]]:
@@ -131,7 +80,7 @@ def parse_grid(given: list[str]) -> dict[str, list[Any]]:
         listed = [parse_value(value.strip()) for value in values.split(",") if value.strip()]
         if not sign or not key or not listed:
             raise ParameterError(f"--grid takes KEY=A,B,C, as in --grid fsc.threshold=1,2,3, got '{text}'")
-        if key in OWN_OPTIONS and key not in SWEPT:
+        if key == "method" or (key in BY_NAME and BY_NAME[key].decides not in ("method", "part")):
             raise ParameterError(f"'{key}' cannot be swept: it is no parameter of a method")
         if key in found:
             raise ParameterError(f"--grid {key} is given twice")

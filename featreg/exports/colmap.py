@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.exports.content import Content, ImageInfo
-from featreg.exports.reading import PIXEL_OFFSETS
 
+PIXEL_OFFSET = 0.5
 #: Identifiers of images are below this; pairs are numbered by it.
 MOST_IMAGES = 2**31 - 1
 SIMPLE_PINHOLE = 0
@@ -56,9 +56,8 @@ def write(content: Content, path: Path) -> None:
     pairs = np.column_stack([np.arange(count)] * 2).astype("<u4")
     pair = pair_id(1, 2)
     matrix = content.model.matrix if content.model else None
-    half = PIXEL_OFFSETS["colmap"]
     if matrix is not None:
-        move = np.array([[1, 0, half], [0, 1, half], [0, 0, 1.0]])
+        move = np.array([[1, 0, PIXEL_OFFSET], [0, 1, PIXEL_OFFSET], [0, 0, 1.0]])
         matrix = move @ matrix @ np.linalg.inv(move)
     with contextlib.closing(sqlite3.connect(path)) as database, database:
         for name, columns in TABLES.items():
@@ -71,7 +70,9 @@ def write(content: Content, path: Path) -> None:
             row = (number, SIMPLE_PINHOLE, width, height, _blob(params, "<f8"), 0)
             database.execute("INSERT INTO cameras VALUES (?, ?, ?, ?, ?, ?)", row)
             database.execute("INSERT INTO images VALUES (?, ?, ?)", (number, names[number - 1], number))
-            database.execute("INSERT INTO keypoints VALUES (?, ?, ?, ?)", (number, count, 2, _blob(xy + half, "<f4")))
+            database.execute(
+                "INSERT INTO keypoints VALUES (?, ?, ?, ?)", (number, count, 2, _blob(xy + PIXEL_OFFSET, "<f4"))
+            )
             database.execute("INSERT INTO descriptors VALUES (?, ?, ?, ?)", (number, 0, 128, b""))
         database.execute("INSERT INTO matches VALUES (?, ?, ?, ?)", (pair, count, 2, _blob(pairs, "<u4")))
         config = UNCALIBRATED if matrix is None else PLANAR

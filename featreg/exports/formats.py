@@ -1,36 +1,40 @@
-"""The formats tie points can be exported to; one module each, with a function ``write(content, path)``."""
+"""Tie points in files of featreg and of other programs: the table of formats, and how they are written and read.
+
+A format is a module with ``write(content, path)``, ``read(path)`` or both, and its pixel convention.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from importlib import import_module
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 from featreg.errors import InputError, ParameterError, suggest
-from featreg.exports.content import content_of
+from featreg.exports import colmap, csv, envi, gdal, npy, parquet, qgis, rpc
+from featreg.exports.content import Content, content_of
 from featreg.io.writers import replacing
 from featreg.products.grid import inputs_of
 from featreg.results.json_file import tie_point_file
 from featreg.results.registration import Registration
+from featreg.types import Matches
 
 
-@dataclass(frozen=True)
-class Format:
-    """A format: how its files may end, what it is, and the pixel coordinates of the first pixel's centre."""
+class Format(NamedTuple):
+    """How the files of a format may end, and what writes them."""
 
     suffixes: tuple[str, ...]
-    summary: str
-    first_pixel: str
+    write: Callable[[Content, Path], None]
 
 
-FORMATS = {
-    "csv": Format((".csv",), "table with every column of the result", "(0, 0)"),
-    "parquet": Format((".parquet",), "the same table, typed", "(0, 0)"),
-    "gdal": Format((".vrt", ".tif", ".tiff", ".txt"), "ground control points of the secondary", "(0.5, 0.5)"),
-    "qgis": Format((".points",), "georeferencer points", "(0.5, -0.5)"),
-    "envi": Format((".pts",), "image-to-image control points", "(1.5, 1.5)"),
-    "colmap": Format((".db",), "database of images, keypoints and matches", "(0.5, 0.5)"),
-    "rpc": Format(("_rpc.txt", ".rpb"), "the secondary's RPC corrected by a model rpc-bias", "(0, 0)"),
+FORMATS: Mapping[str, Format] = {
+    "csv": Format((".csv",), csv.write),
+    "parquet": Format((".parquet",), parquet.write),
+    "gdal": Format((".vrt", ".tif", ".tiff", ".txt"), gdal.write),
+    "qgis": Format((".points",), qgis.write),
+    "envi": Format((".pts",), envi.write),
+    "colmap": Format((".db",), colmap.write),
+    "rpc": Format(("_rpc.txt", ".rpb"), rpc.write),
 }
 
 
@@ -68,7 +72,7 @@ def export(
     path = Path(path)
     if to not in FORMATS:
         raise ParameterError(f"unknown format '{to}', {suggest(to, FORMATS)}")
-    suffixes = FORMATS[to].suffixes
+    suffixes, write = FORMATS[to]
     if not path.name.lower().endswith(suffixes):
         raise ParameterError(f"{path}: the format '{to}' needs a name that ends in {' or '.join(suffixes)}")
     inputs: list[str | Path] = []
@@ -78,7 +82,55 @@ def export(
     content = content_of(registration, stage, reference, secondary)
     inputs += [*inputs_of(registration), content.reference.path, content.secondary.path]
     with replacing(path, inputs=inputs) as temporary:
-        import_module(f"featreg.exports.{to}").write(content, temporary)
+        write(content, temporary)
         if not temporary.is_file():
             raise InputError(f"{path}: nothing was written")
     return len(content.matches)
+
+
+def read_tie_points(
+    path: str | Path, *, reference: str | Path | None = None, secondary: str | Path | None = None
+) -> Matches:
+    """Read marked or exported tie points.
+
+    Parameters
+    ----------
+    path : ``.points`` (QGIS georeferencer: the source image is the secondary), ``.pts`` (ENVI, image to image: base is
+        the reference, warp the secondary), ``.csv`` or ``.txt`` (columns reference_x, reference_y, secondary_x,
+        secondary_y and, where there are, score, cov_xx, cov_xy, cov_yy; or four bare columns in that order),
+        ``.parquet`` (the same columns), ``.npy`` (M, 4)
+    reference, secondary : for ``.points`` in map coordinates, the images whose geotransforms take them to pixels: QGIS
+        counts the pixels of an image that has none, and writes map coordinates of one that has
+
+    Returns
+    -------
+    Matches
+        (x, y) with the centre of the first pixel at (0, 0), float64; score NaN where the file has none.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is of another kind, holds something that is no number, or map coordinates without an
+        image that has a geotransform (the reference: in the same coordinate system).
+    """
+    path = Path(path)
+    readers: dict[str, Callable[[Path], Matches]] = {
+        ".points": partial(qgis.read, reference=reference, secondary=secondary),
+        ".pts": envi.read,
+        ".csv": csv.read,
+        ".txt": csv.read,
+        ".parquet": parquet.read,
+        ".npy": npy.read,
+    }
+    reader = readers.get(path.suffix.lower())
+    if reader is None:
+        raise InputError(f"tie points '{path}' must be a {', '.join(readers)} file")
+    try:
+        return reader(path)
+    except InputError as error:
+        raise InputError(f"tie points '{path}': {error}") from error
+    except OSError as error:
+        raise InputError(f"tie points '{path}' cannot be read: {error.strerror or error}") from error
+    except (ValueError, TypeError, LookupError, EOFError) as error:
+        why = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(f"tie points '{path}' cannot be read: {why}") from error

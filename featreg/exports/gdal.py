@@ -13,9 +13,10 @@ import numpy as np
 
 from featreg.errors import InputError
 from featreg.exports.content import Content, ground_of
-from featreg.exports.reading import PIXEL_OFFSETS
 from featreg.io.readers import quiet
 from featreg.types import FloatArray
+
+PIXEL_OFFSET = 0.5
 
 
 def write(content: Content, path: Path) -> None:
@@ -26,11 +27,11 @@ def write(content: Content, path: Path) -> None:
     InputError
         The secondary's file is not at hand (``.vrt`` and ``.tif`` need it).
     """
-    pixel, line = (content.matches.secondary_xy + PIXEL_OFFSETS["gdal"]).T
+    pixel, line = (content.matches.secondary_xy + PIXEL_OFFSET).T
     ground = ground_of(content.reference, content.matches.reference_xy, content.model)
     xyz: FloatArray
     if ground is None:
-        flat = (content.matches.reference_xy + PIXEL_OFFSETS["gdal"]) * (1, -1)
+        flat = (content.matches.reference_xy + PIXEL_OFFSET) * (1, -1)
         xyz, crs = np.column_stack([flat, np.zeros(len(flat))]), ""
     else:
         xyz, crs = ground.xyz, ground.crs

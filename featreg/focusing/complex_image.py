@@ -188,12 +188,14 @@ def _estimated(
 
     steps, each = settings.max_iterations, settings.each
     if settings.method == "auto":
-        sets = {wide: _automatic_cells(energy, pixels.size // len(energy), settings, wide) for wide in (False, True)}
+        pulses = pixels.size // len(energy)
         found, used, verdict = autofocus.automatic(
-            lambda wide: spectra(sets[wide]), band_of, max_iterations=steps, each=each
+            lambda wide: spectra(_automatic_cells(energy, pulses, settings, wide)),
+            band_of,
+            max_iterations=steps,
+            each=each,
         )
-        chosen = next(cells for cells in sets.values() if len(cells) == len(used.spectra))
-        return chosen, found, verdict, band_of(used)
+        return used.index, found, verdict, band_of(used)
     given = None if settings.method == "pga" else settings.fraction
     fraction = FRACTIONS[settings.method] if given is None else given
     chosen = choose_cells(energy, fraction)

@@ -17,6 +17,12 @@ from featreg.types import Image
 Focus = str | Callable[[Image], FocusResult]
 
 
+def check_method(name: str) -> None:
+    """Raise where no autofocus method has this name."""
+    if name not in METHODS:
+        raise ParameterError(f"unknown autofocus method '{name}', {suggest(name, METHODS)}")
+
+
 def focused_inputs(reference: Image, secondary: Image, how: Focus) -> tuple[Image, Image, dict[str, Any]]:
     """Return both images, focused where they are complex and the focus can be trusted, and what was done.
 
@@ -41,21 +47,21 @@ def focused_inputs(reference: Image, secondary: Image, how: Focus) -> tuple[Imag
     of its own small errors. The linear phase that would shift an image in azimuth is taken out (`detrend`), so the
     model holds for the images as they were given.
     """
+    if not reference.is_complex and not secondary.is_complex:
+        raise InputError(f"{secondary.name}: focus needs complex samples, and both images are real; leave focus out")
+    (first, done), (second, also) = (focused_input(image, how) for image in (reference, secondary))
+    return first, second, {"reference": done, "secondary": also}
+
+
+def focused_input(image: Image, how: Focus) -> tuple[Image, dict[str, Any]]:
+    """Return one image, focused where it is complex and the focus can be trusted, and what was done."""
     if isinstance(how, str):
-        if how not in METHODS:
-            raise ParameterError(f"unknown autofocus method '{how}', {suggest(how, METHODS)}")
+        check_method(how)
         run: Callable[[Image], FocusResult] = partial(focus, method=how, detrend=True)
     elif callable(how):
         run = how
     else:
         raise ParameterError(f"focus must be a method's name or a function of an image, got {type(how).__name__}")
-    if not reference.is_complex and not secondary.is_complex:
-        raise InputError(f"{secondary.name}: focus needs complex samples, and both images are real; leave focus out")
-    (first, done), (second, also) = (_focused(image, run) for image in (reference, secondary))
-    return first, second, {"reference": done, "secondary": also}
-
-
-def _focused(image: Image, run: Callable[[Image], FocusResult]) -> tuple[Image, dict[str, Any]]:
     if not image.is_complex:
         return image, {"status": "not done", "reason": "the samples are real"}
     result = run(image)

@@ -34,6 +34,7 @@ class PulseSpectra:
     Parameters
     ----------
     spectra : (K, N) complex64, unitary FFT along azimuth; the energies of the rows sum to K
+    index : (K,) int64, which range cells of the image they are, ascending
     energy : (K,) float64 energy of each row: all 1, unless the cells keep their proportions
     share : (K,) float64 energy of each cell in the image, as a share of all K
     groups : (start, stop) rows of neighbouring cells, which see the same scatterers, one after the other
@@ -41,6 +42,7 @@ class PulseSpectra:
     """
 
     spectra: C64
+    index: IntArray
     energy: FloatArray
     share: FloatArray
     groups: tuple[tuple[int, int], ...]
@@ -84,6 +86,7 @@ class PulseSpectra:
         return replace(
             self,
             spectra=self.spectra[rows],
+            index=self.index[rows],
             share=share / share.sum(),
             energy=self.energy[rows],
             groups=tuple(pairwise(edges)),
@@ -209,7 +212,7 @@ def pulse_spectra(
     if not normalize:
         spectra *= np.float32(1 / np.sqrt(energy.mean()))
     kept = np.ones(len(cells)) if normalize else energy / energy.mean()
-    return PulseSpectra(spectra, kept, energy / energy.sum(), grouped(cells), workers)
+    return PulseSpectra(spectra, cells, kept, energy / energy.sum(), grouped(cells), workers)
 
 
 def energies(lines: NDArray[Any]) -> FloatArray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Any, ClassVar, NoReturn
+from typing import Any, ClassVar, NamedTuple, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -87,13 +87,25 @@ def normalise(
     return Normalised(r / (rs or 1.0), s / (ss or 1.0), w, rc, sc, rs or 1.0, ss or 1.0)
 
 
-def decompose(linear: ArrayLike) -> tuple[float, float, float, float]:
-    """Return what a (2, 2) linear part does: (rotation_deg, scale, anisotropy, shear_deg).
+class LinearPart(NamedTuple):
+    """What a (2, 2) linear part does.
 
-    The rotation, counter-clockwise as seen, is that of the nearest rotation (polar decomposition), NaN for a
-    reflection; the scale is sqrt |det|; the anisotropy is the ratio of the singular values (>= 1); the shear is by how
-    many degrees the angle between the mapped axes falls short of 90.
+    Parameters
+    ----------
+    rotation_deg : counter-clockwise as seen, of the nearest rotation (polar decomposition); NaN for a reflection
+    scale : sqrt |det|
+    anisotropy : ratio of the singular values, >= 1
+    shear_deg : degrees by which the angle between the mapped axes falls short of 90
     """
+
+    rotation_deg: float
+    scale: float
+    anisotropy: float
+    shear_deg: float
+
+
+def decompose(linear: ArrayLike) -> LinearPart:
+    """Return rotation, scale, anisotropy and shear of a (2, 2) linear part."""
     (a, b), (c, d) = np.asarray(linear, np.float64).tolist()
     det = a * d - b * c
     rotation = math.degrees(math.atan2(b - c, a + d)) if det > 0 else math.nan
@@ -101,7 +113,7 @@ def decompose(linear: ArrayLike) -> tuple[float, float, float, float]:
     turn, squeeze = math.hypot(a + d, b - c), math.hypot(a - d, b + c)
     large, small = 0.5 * (turn + squeeze), 0.5 * abs(turn - squeeze)
     shear = math.degrees(math.atan2(a * b + c * d, abs(det)))
-    return rotation, math.sqrt(abs(det)), large / small if small > 0 else math.inf, shear
+    return LinearPart(rotation, math.sqrt(abs(det)), large / small if small > 0 else math.inf, shear)
 
 
 class GeometricModel(Model):
@@ -150,15 +162,18 @@ class MatrixModel(GeometricModel):
         out[..., 1] = m[1, 0] * x + m[1, 1] * y + m[1, 2]
         return out
 
+    def _linear(self) -> FloatArray:
+        return self.matrix[:2, :2]
+
     @property
     def anisotropy(self) -> float:
         """Ratio of the singular values of the linear part, >= 1."""
-        return decompose(self.matrix[:2, :2])[2]
+        return decompose(self._linear()).anisotropy
 
     @property
     def shear_deg(self) -> float:
         """Degrees by which the angle between the mapped axes falls short of 90."""
-        return decompose(self.matrix[:2, :2])[3]
+        return decompose(self._linear()).shear_deg
 
 
 def finite_numbers(model: Any, *names: str) -> None:
@@ -180,23 +195,12 @@ def coefficient_array(values: ArrayLike, shape: tuple[int, ...], what: str) -> F
 class GeneralMatrixModel(MatrixModel):
     """A matrix whose rotation and scale are read off its linear part."""
 
-    def _linear(self) -> FloatArray:
-        return self.matrix[:2, :2]
-
     @property
     def rotation_deg(self) -> float:
         """Counter-clockwise as seen, of the nearest rotation; NaN for a reflection."""
-        return decompose(self._linear())[0]
+        return decompose(self._linear()).rotation_deg
 
     @property
     def scale(self) -> float:
         """Square root of the magnification of areas."""
-        return decompose(self._linear())[1]
-
-    @property
-    def anisotropy(self) -> float:
-        return decompose(self._linear())[2]
-
-    @property
-    def shear_deg(self) -> float:
-        return decompose(self._linear())[3]
+        return decompose(self._linear()).scale

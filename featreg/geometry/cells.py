@@ -28,6 +28,17 @@ def cells(xy: FloatArray, side: float = CELL_PX) -> IntArray:
     return np.asarray(y * (1 << 24) + x)
 
 
+def spread(xy: FloatArray, shape: tuple[int, int], count: int = 8) -> float:
+    """Return the share of the cells of a `count` x `count` grid over an image of shape (H, W) that hold a point.
+
+    The image ends half a pixel beyond the centres of its outer pixels; of (M, 2) points, those outside do not count.
+    """
+    share = (xy + 0.5) / (shape[1], shape[0])
+    share = share[((share >= 0) & (share <= 1)).all(axis=1)]
+    cell = np.minimum((share * count).astype(np.int64), count - 1)
+    return len(np.unique(cell[:, 1] * count + cell[:, 0])) / count**2
+
+
 def dilution(model: Model, reference_xy: FloatArray, secondary_xy: FloatArray, *, at: ArrayLike) -> float:
     """Return the error of a model over points, root mean square, for an error of one pixel per cell of its tie points.
 

@@ -244,7 +244,7 @@ class Affine(GeneralMatrixModel):
 
     def __post_init__(self) -> None:
         c = coefficient_array(self.coefficients, (2, 3), "Affine.coefficients")
-        if not decompose(c[:, :2])[2] < 1e12:
+        if not decompose(c[:, :2]).anisotropy < 1e12:
             raise InputError(f"an affine model must be invertible, got the linear part {c[:, :2].tolist()}")
         object.__setattr__(self, "coefficients", c)
 
@@ -262,7 +262,7 @@ class Affine(GeneralMatrixModel):
             return FailedFit(
                 f"the {len(root)} reference points lie on a line: spreads in the ratio {singular[1] / singular[0]:.3g}"
             )
-        flatness = decompose(solution)[2]
+        flatness = decompose(solution).anisotropy
         if not flatness < 1 / FLAT:
             return FailedFit(f"the fit maps the plane onto a line: singular values in the ratio {1 / flatness:.3g}")
         linear = solution.T * (n.secondary_scale / n.reference_scale)

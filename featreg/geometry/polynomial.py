@@ -57,7 +57,7 @@ class Polynomial(GeometricModel):
             )
         coefficients = (solution / length[:, None]).T * n.secondary_scale
         coefficients[:, 0] += n.secondary_centre
-        flatness = decompose(coefficients[:, 1:3])[2]
+        flatness = decompose(coefficients[:, 1:3]).anisotropy
         if not flatness < 1e6:
             return FailedFit(f"the fit maps the plane onto a line: singular values in the ratio {1 / flatness:.3g}")
         x, y = n.reference_centre.tolist()

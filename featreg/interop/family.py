@@ -167,8 +167,9 @@ def register_table(cls: P) -> P:
         A name is taken, or the class has no kind.
     """
     kind = kind_of(cls, cls.__name__)
+    plugin: Any = cls
+    describes = getattr(plugin, "describes", None)
     for name, row in cls.table.items():
-        describes = getattr(cls, "describes", None)
         register_family(
             kind,
             name,
@@ -178,8 +179,9 @@ def register_table(cls: P) -> P:
             module=cls.__module__,
             unavailable=row.unavailable,
             on_demand=row.on_demand,
+            block_parameters=plugin.block_parameters,
+            compiled=plugin.compiled,
             describes=describes if describes in row.parameters else None,
-            declared=row.parameters,
         )
     return cls
 

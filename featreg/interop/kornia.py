@@ -121,6 +121,7 @@ class KorniaPart(Part):
     """What the plugins of kornia have in common: a network, built once for its parameters and shared."""
 
     table: ClassVar[Mapping[str, KorniaRow]]
+    compiled = False
 
     def network(self) -> Any:
         """Return what kornia offers for these parameters, with its weights, on its device."""

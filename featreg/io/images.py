@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from featreg.errors import InputError, ParameterError, suggest
 from featreg.io.masks import MaskLike, as_mask, holds_nodata
-from featreg.io.readers import Raster, read_raster
+from featreg.io.readers import Raster, read_raster, read_small_raster
 from featreg.io.scales import SCALES, NoContentError, check_content, complex_pixels, real_pixels
 from featreg.types import BoolArray, Image, read_only
 
@@ -71,6 +71,22 @@ def as_image(
     hidden = np.ma.getmaskarray(source) if isinstance(source, np.ma.MaskedArray) else None
     raster = Raster(array, array.dtype.name, None if hidden is None else ~hidden)
     return _image(raster, "array", mask, nodata, scale, owned=False)
+
+
+def small_image(
+    source: ImageLike,
+    most: float,
+    *,
+    mask: MaskLike | None = None,
+    nodata: complex | None = None,
+    scale: str | None = None,
+) -> Image | None:
+    """As `as_image`, of at most `most` pixels; None where there are more, and a file was opened but not read."""
+    if isinstance(source, str | Path) and scale in (None, *SCALES):
+        raster = read_small_raster(source, most)
+        return None if raster is None else _image(raster, str(source), mask, nodata, scale, owned=True)
+    pixels = source.mask.size if isinstance(source, Image) else np.size(source) if hasattr(source, "__array__") else 0
+    return None if pixels > most else as_image(source, mask=mask, nodata=nodata, scale=scale)
 
 
 def read_image(

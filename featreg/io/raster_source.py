@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from featreg.errors import InputError, ParameterError
 from featreg.io.masks import MaskLike, holds_nodata, inside_polygons, polygons_of
 from featreg.io.raster_files import CACHE_BYTES, Head, inferred_scale, read_head, read_samples, stamp_of
-from featreg.io.readers import Raster, gdal_dataset
+from featreg.io.readers import Raster
 from featreg.io.scales import SCALES, complex_pixels, real_pixels
 from featreg.io.window import Window
 from featreg.types import BoolArray, Geolocation, Image, read_only
@@ -30,7 +30,6 @@ __all__ = [
     "Window",
     "fingerprint",
     "open_source",
-    "pixel_count",
 ]
 
 #: Bytes at either end of a file that identify it together with its size and time.
@@ -281,21 +280,6 @@ def open_source(
     elif mask is not None:
         held = tuple(tuple(map(tuple, polygon.tolist())) for polygon in polygons_of(mask, str(source)))
     return RasterSource(str(source), scale, nodata, mask=held).checked()
-
-
-def pixel_count(source: Any) -> int:
-    """How many pixels a path, an array or an `Image` has; 0 where only reading it whole would tell."""
-    if isinstance(source, Image):
-        return source.mask.size
-    if not isinstance(source, str | Path):
-        return int(np.size(source)) if hasattr(source, "__array__") else 0
-    try:
-        if Path(source).suffix.lower() == ".npy":
-            return int(np.load(source, mmap_mode="r", allow_pickle=False).size)
-        with gdal_dataset(source) as dataset:
-            return 0 if dataset is None else int(dataset.width * dataset.height)
-    except (InputError, OSError, ValueError):
-        return 0  # whoever reads it says what is wrong
 
 
 def fingerprint(path: str | Path) -> dict[str, Any]:

@@ -6,6 +6,7 @@ What the samples mean (amplitude, intensity, decibels) is decided in `featreg.io
 from __future__ import annotations
 
 import logging
+import math
 import re
 import warnings
 from collections.abc import Callable, Iterator
@@ -68,6 +69,19 @@ class Raster:
 def read_raster(source: str | Path) -> Raster:
     """Read one image file: GeoTIFF, NITF, SICD, PNG, JPEG, BMP, NPY, or ``file.mat:variable``.
 
+    Errors as `read_small_raster`.
+    """
+    raster = read_small_raster(source, math.inf)
+    if raster is None:
+        raise InputError(f"{source}: cannot be read whole")
+    return raster
+
+
+def read_small_raster(source: str | Path, most: float) -> Raster | None:
+    """Read an image file of at most `most` pixels; None where it holds more, which its head tells.
+
+    Formats whose size only the whole tells (SICD, MATLAB) are read whatever it is.
+
     Raises
     ------
     InputError
@@ -79,7 +93,7 @@ def read_raster(source: str | Path) -> Raster:
     if reader is None:
         given = f"suffix '{path.suffix}'" if path.suffix else "a name without suffix"
         raise InputError(f"{path}: {given} is not a known image format; use one of {' '.join(READERS)}")
-    return reader(path, head, variable)
+    return reader(path, head, variable, most)
 
 
 def _split_variable(source: str | Path) -> tuple[Path, str | None]:
@@ -168,7 +182,7 @@ def _gdal_driver(path: Path, head: bytes) -> str:
     return driver
 
 
-def _read_gdal(path: Path, head: bytes, variable: str | None) -> Raster:
+def _read_gdal(path: Path, head: bytes, variable: str | None, most: float) -> Raster | None:
     driver = _gdal_driver(path, head)
     import rasterio
 
@@ -179,7 +193,7 @@ def _read_gdal(path: Path, head: bytes, variable: str | None) -> Raster:
         _decoding(path, driver.removeprefix("G").upper()),
         rasterio.open(path.absolute(), driver=driver) as dataset,
     ):
-        return _read_dataset(path, dataset)
+        return None if dataset.width * dataset.height > most else _read_dataset(path, dataset)
 
 
 def _holds_sicd(path: Path) -> bool:
@@ -187,9 +201,9 @@ def _holds_sicd(path: Path) -> bool:
     return is_sicd(path)
 
 
-def _read_nitf(path: Path, head: bytes, variable: str | None) -> Raster:
+def _read_nitf(path: Path, head: bytes, variable: str | None, most: float) -> Raster | None:
     if not is_sicd(path):
-        return _read_gdal(path, head, variable)
+        return _read_gdal(path, head, variable, most)
     with _decoding(path, "SICD"):
         samples, geolocation = read_sicd(path)
     return Raster(samples, samples.dtype.name, geolocation=geolocation)
@@ -270,11 +284,13 @@ def geolocation_of(dataset: Any) -> Geolocation | None:
     return None if nothing else located
 
 
-def _read_npy(path: Path, head: bytes, variable: str | None) -> Raster:
+def _read_npy(path: Path, head: bytes, variable: str | None, most: float) -> Raster | None:
     if not head.startswith(b"\x93NUMPY"):
         raise InputError(f"{path}: the content is not an NPY file in spite of its name; write it with numpy.save")
     with _decoding(path, "NPY"):
         try:
+            if _npy_pixels(path) > most:
+                return None
             array = np.load(path, allow_pickle=False)
         except ValueError as error:
             if "allow_pickle" not in str(error):
@@ -283,7 +299,15 @@ def _read_npy(path: Path, head: bytes, variable: str | None) -> Raster:
     return Raster(array, array.dtype.name)
 
 
-def _read_mat(path: Path, head: bytes, variable: str | None) -> Raster:
+def _npy_pixels(path: Path) -> int:
+    """How many values an NPY file says it holds."""
+    with path.open("rb") as file:
+        version = np.lib.format.read_magic(file)
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        return math.prod(read(file)[0])
+
+
+def _read_mat(path: Path, head: bytes, variable: str | None, most: float) -> Raster | None:
     if head.startswith((b"MATLAB 7.3", b"\x89HDF")):
         raise InputError(f"{path}: is a MATLAB 7.3 (HDF5) file, MATLAB 5 is needed; save it in MATLAB with '-v7'")
     from scipy.io import loadmat, whosmat
@@ -313,7 +337,7 @@ def _read_mat(path: Path, head: bytes, variable: str | None) -> Raster:
     return Raster(array, array.dtype.name)
 
 
-READERS: dict[str, Callable[[Path, bytes, str | None], Raster]] = {
+READERS: dict[str, Callable[[Path, bytes, str | None, float], Raster | None]] = {
     **dict.fromkeys((".tif", ".tiff", ".png", ".jpg", ".jpeg", ".bmp"), _read_gdal),
     **dict.fromkeys((".ntf", ".nitf", ".nsf", ".sicd"), _read_nitf),
     ".npy": _read_npy,

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from featreg.errors import InputError, ParameterError
 from featreg.exports import csv, envi, qgis
+from featreg.exports.columns import COLUMNS
 from featreg.exports.content import Content, ImageInfo
-from featreg.exports.reading import COLUMNS, read_tie_points
+from featreg.exports.formats import read_tie_points
 from featreg.geometry import Affine, Similarity
 from featreg.interfaces import FailedFit, Model
 from featreg.types import FloatArray, Matches

@@ -247,8 +247,8 @@ def _figures(registration: Registration, shape: tuple[int, int], truth: Truth | 
         return [*notes, Note(f"no model: {model.reason}")]
     y, x = np.indices((9, 9)).reshape(2, -1) / 8.0
     grid = np.column_stack([x, y]) * (np.array(shape[::-1]) - 1.0)
-    rotation, scale, _, _ = decompose(local_linear(model, (np.array(shape[::-1]) - 1.0) / 2))
-    notes.append(Note(f"rotation {rotation:+.2f}°, scale {scale:.4f}"))
+    linear = decompose(local_linear(model, (np.array(shape[::-1]) - 1.0) / 2))
+    notes.append(Note(f"rotation {linear.rotation_deg:+.2f}°, scale {linear.scale:.4f}"))
     if accepted.any():
         notes.append(Note(f"RMSE {np.sqrt(np.mean(registration.residuals()[accepted] ** 2)):.2f} px"))
     if truth is not None:

@@ -1,10 +1,11 @@
-"""From a preset and keywords to a Pipeline: which part each keyword belongs to, and an error where none does."""
+"""From a preset and keywords to a Pipeline: which part each keyword belongs to, and an error where it does nothing."""
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy as np
 from featreg import registry
 from featreg.errors import ParameterError, UnknownNameError, suggest
 from featreg.interfaces import Descriptor, Detector, Filter, Matcher, Model, Nearest
+from featreg.pipeline import keywords as declared
 from featreg.pipeline.feature_matcher import FeatureMatcher
 from featreg.pipeline.pipeline import Pipeline
 from featreg.pipeline.refine import Refine
@@ -20,33 +22,50 @@ from featreg.presets import PRESETS, Part, Preset
 
 DEFAULT_METHOD = "sar-orb"
 DEFAULT_MODEL = "affine"
-DEFAULT_FEATURES = 5000
+#: Features of an image, and of a block: there, detection takes the same time for a hundred as for a thousand.
+DEFAULT_FEATURES, BLOCK_FEATURES = 5000, 1000
 ROLES: Mapping[str, type[Any]] = {
     "detector": Detector,
     "descriptor": Descriptor,
     "nearest": Nearest,
     "matcher": Matcher,
 }
+#: Limits of trust that only a scene in blocks is held to.
+BLOCK_LIMITS = ("block_share", "held_out_rmse_px", "block_error_px")
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Slot:
     """One part while keywords are being sorted: its registry entry or ready-made object, and its parameters."""
 
     kind: str
     name: str
-    parameters: dict[str, Any]
-    known: Mapping[str, Any]
+    parameters: dict[str, Any] = field(default_factory=dict)
+    entry: registry.Entry | None = None
     ready: Any = None
 
     @classmethod
     def of(cls, kind: str, part: Part | Any) -> _Slot:
         if isinstance(part, Part):
-            return cls(kind, part.name, dict(part.parameters), registry.entry(kind, part.name).parameters)
-        return cls(kind, type(part).__name__, {}, {}, part)
+            return cls(kind, part.name, dict(part.parameters), registry.entry(kind, part.name))
+        return cls(kind, type(part).__name__, ready=part)
 
-    def make(self) -> Any:
+    @property
+    def known(self) -> Mapping[str, Any]:
+        """The parameters that may be given, with their defaults."""
+        return {} if self.entry is None else self.entry.parameters
+
+    @cached_property
+    def made(self) -> Any:
+        """The part itself, made once."""
         return self.ready if self.ready is not None else registry.create(self.kind, self.name, **self.parameters)  # type: ignore[call-overload]
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """The name of the part and every parameter with its value."""
+        if self.entry is not None:
+            return {"name": self.name, **self.known, **self.parameters}
+        return {"name": self.name, **_values(self.made)}
 
 
 def assemble(
@@ -55,6 +74,7 @@ def assemble(
     model: str | type[Model] | None = None,
     refine: bool | None = None,
     n_features: int | None = None,
+    blocks: bool | None = False,
     **keywords: Any,
 ) -> Pipeline:
     """Build the pipeline of a method.
@@ -64,7 +84,8 @@ def assemble(
     method : a preset's name, a `Matcher` (given the default filters), or a `Pipeline` (to which no keyword is added)
     model : name or class of the geometric model
     refine : whether to refine; None leaves it to the preset
-    n_features : most features per image and most final tie points
+    n_features : most features per image and most final tie points; in blocks, of each block
+    blocks : whether it is to work in blocks: each plugin then has its `block_parameters`; None where it is not known
     keywords : ``detector``, ``descriptor``, ``nearest``, ``matcher`` (name or object), ``filters`` (list of names or
         objects), ``common_rotation``, ``robust`` (see `Pipeline`), and any parameter of any part, as ``name`` or
         ``part.name``
@@ -72,35 +93,57 @@ def assemble(
     Raises
     ------
     UnknownNameError, ParameterError
-        An unknown name; a keyword that no part has or that more than one has.
+        An unknown name; a keyword that no part has, that more than one has, or that does nothing here.
     """
     if isinstance(method, Pipeline):
-        given = [k for k, v in (("model", model), ("refine", refine), ("n_features", n_features)) if v is not None]
-        if given or keywords:
-            raise ParameterError(f"a Pipeline takes no further keywords, got {', '.join([*given, *keywords])}")
+        more = [k for k, v in (("model", model), ("refine", refine), ("n_features", n_features)) if v is not None]
+        if more or keywords:
+            raise ParameterError(f"a Pipeline takes no further keywords, got {', '.join([*more, *keywords])}")
         return method
-    budget = DEFAULT_FEATURES if n_features is None else n_features
-    if not isinstance(budget, int | np.integer) or isinstance(budget, bool) or budget < 1:
-        raise ParameterError(f"n_features must be a whole number >= 1, got {budget!r}")
-    budget = int(budget)
     name, preset = _preset(method)
-    keywords = dict(keywords)
-    slots = _slots(preset, method, keywords)
+    given = dict(keywords)
+    slots = _slots(name, preset, method, given)
+    common = given.pop("common_rotation", None)
+    if common is not None and "matcher" in slots:
+        raise ParameterError(
+            f"common_rotation is for methods that describe features, and '{name}' makes tie points by the matcher "
+            f"'{slots['matcher'].name}': leave it out"
+        )
+    common = preset.common_rotation if common is None else common
+    registry.check_type("common_rotation", common, True)
+    return _assembled(name, preset, slots, model, refine, n_features, blocks, bool(common), given)
+
+
+def assemble_fit(*, model: str | type[Model] | None, filters: Any, **keywords: Any) -> Pipeline:
+    """Build the pipeline of given tie points: filters, model and trust; parameters and errors as `assemble`."""
+    preset = Preset("tie points", filters=())
+    return _assembled("tie points", preset, {}, model, False, None, False, False, {**keywords, "filters": filters})
+
+
+def _assembled(
+    name: str,
+    preset: Preset,
+    slots: dict[str, _Slot],
+    model: str | type[Model] | None,
+    refine: bool | None,
+    n_features: int | None,
+    blocks: bool | None,
+    common_rotation: bool,
+    keywords: dict[str, Any],
+) -> Pipeline:
+    budget = _budget(n_features, BLOCK_FEATURES if blocks else DEFAULT_FEATURES)
     steps = _filters(preset, keywords)
-    common = keywords.pop("common_rotation", preset.common_rotation)
     robust = keywords.pop("robust", preset.robust)
-    for key, value in (("common_rotation", common), ("robust", robust)):
-        registry.check_type(key, value, True)
-    refinement, limits = _route(keywords, slots, steps, preset)
-    for slot in slots.values():
+    registry.check_type("robust", robust, True)
+    use = preset.refine if refine is None else refine
+    refinement, limits = _route(keywords, {**slots, **steps}, preset, refine=bool(use), blocks=blocks)
+    for slot in (*slots.values(), *steps.values()):
+        for key, value in slot.entry.block_parameters.items() if blocks and slot.entry else ():
+            slot.parameters.setdefault(key, value)
         if "n_features" in slot.known:
             slot.parameters.setdefault("n_features", budget)
-    matcher = _matcher(slots, budget, common)
-    filters = tuple((step, slot.make()) for step, slot in steps.items())
-    use = preset.refine if refine is None else refine
-    chosen = registry.model_class(model or preset.model or DEFAULT_MODEL) if not isinstance(model, type) else model
-    refinement_asked = Refine(**refinement)
-    refiner = refinement_asked if use else None
+    matcher = _matcher(slots, budget, common_rotation) if slots else None
+    chosen = model if isinstance(model, type) else registry.model_class(model or preset.model or DEFAULT_MODEL)
     parameters: dict[str, Any] = {
         "n_features": budget,
         "model": registry.model_name(chosen),
@@ -109,18 +152,23 @@ def assemble(
     }
     if isinstance(matcher, FeatureMatcher):
         parameters["common_rotation"] = matcher.common_rotation
-    for role, slot in {**slots, **steps}.items():
-        parameters[role] = {"name": slot.name, **values_of(slot.make(), slot.parameters, slot.known)}
-    if refiner is not None:
-        parameters["refinement"] = values_of(refiner, {}, {})
-    parameters["trust"] = values_of(limits, {}, {})
-    return Pipeline(matcher, filters, chosen, refiner, limits, budget, robust, name, parameters)
+    parameters |= {role: slot.record for role, slot in {**slots, **steps}.items()}
+    if use:
+        parameters["refinement"] = _values(refinement)
+    parameters["trust"] = _values(limits)
+    filters = tuple((step, slot.made) for step, slot in steps.items())
+    return Pipeline(matcher, filters, chosen, refinement if use else None, limits, budget, robust, name, parameters)
 
 
-def values_of(part: Any, given: Mapping[str, Any], known: Mapping[str, Any]) -> dict[str, Any]:
-    """Return every parameter of a part with its value: what it was given, else its default."""
-    if known:
-        return {**known, **given}
+def _budget(n_features: int | None, usual: int) -> int:
+    budget = usual if n_features is None else n_features
+    if not isinstance(budget, int | np.integer) or isinstance(budget, bool) or budget < 1:
+        raise ParameterError(f"n_features must be a whole number >= 1, got {budget!r}")
+    return int(budget)
+
+
+def _values(part: Any) -> dict[str, Any]:
+    """Every parameter of an object with its value, where it keeps it under its own name."""
     names = inspect.signature(type(part)).parameters
     return {key: getattr(part, key) for key in names if hasattr(part, key)}
 
@@ -133,26 +181,41 @@ def _preset(method: str | Matcher) -> tuple[str, Preset]:
     return method, PRESETS[method]
 
 
-def _slots(preset: Preset, method: str | Matcher, keywords: dict[str, Any]) -> dict[str, _Slot]:
+def _slots(name: str, preset: Preset, method: str | Matcher, keywords: dict[str, Any]) -> dict[str, _Slot]:
     """The parts that make tie points, with those replaced that a keyword names."""
-    slots: dict[str, _Slot] = {}
+    parts: dict[str, Any] = {role: getattr(preset, role) for role in ROLES}
     if isinstance(method, Matcher):
-        slots["matcher"] = _Slot.of("matcher", method)
-    for role, base in ROLES.items():
-        part = getattr(preset, role)
-        if role in keywords:
-            part = keywords.pop(role)
-            if isinstance(part, str):
-                part = Part(part)
-            elif part is not None and not isinstance(part, base):
-                raise ParameterError(f"{role} must be a name or a {base.__name__}, got {type(part).__name__}")
-        if part is not None:
-            slots[role] = _Slot.of(role, part)
+        parts["matcher"] = method
+    if "matcher" in keywords:
+        parts = {**dict.fromkeys(ROLES), "matcher": _part("matcher", keywords.pop("matcher"))}
+    whole = parts["matcher"]
+    taken = registry.entry("matcher", whole.name).parameters if isinstance(whole, Part) else {}
+    for role in ROLES:
+        # A matcher may have a parameter of that name, as one has that looks for features at several scales.
+        if role not in keywords or role in taken:
+            continue
+        if whole is not None:
+            what = whole.name if isinstance(whole, Part) else type(whole).__name__
+            raise ParameterError(
+                f"{role} does nothing here: '{name}' makes tie points by the matcher '{what}'; "
+                "choose a method that is made of a detector, or leave it out"
+            )
+        parts[role] = _part(role, keywords.pop(role))
+    slots = {role: _Slot.of(role, part) for role, part in parts.items() if part is not None}
     detector = slots.get("detector")
     # A descriptor was asked for, so a detector that could describe its own points must not.
     if detector and "descriptor" in slots and "describe" in detector.known:
         detector.parameters["describe"] = False
     return slots
+
+
+def _part(role: str, given: Any) -> Any:
+    base = ROLES[role]
+    if isinstance(given, str):
+        return Part(given)
+    if given is not None and not isinstance(given, base):
+        raise ParameterError(f"{role} must be a name or a {base.__name__}, got {type(given).__name__}")
+    return given
 
 
 def _filters(preset: Preset, keywords: dict[str, Any]) -> dict[str, _Slot]:
@@ -170,41 +233,49 @@ def _filters(preset: Preset, keywords: dict[str, Any]) -> dict[str, _Slot]:
 
 
 def _route(
-    keywords: dict[str, Any], slots: Mapping[str, _Slot], steps: Mapping[str, _Slot], preset: Preset
-) -> tuple[dict[str, Any], Limits]:
+    keywords: Mapping[str, Any], slots: Mapping[str, _Slot], preset: Preset, *, refine: bool, blocks: bool | None
+) -> tuple[Refine, Limits]:
     """Give every keyword to the one part that has a parameter of that name."""
     refinement, trust = dict(preset.refinement), dict(preset.trust)
-    takers: dict[str, tuple[dict[str, Any], set[str]]] = {
-        "refine": (refinement, {f.name for f in fields(Refine)}),
-        "trust": (trust, {f.name for f in fields(Limits)}),
+    takers: dict[str, tuple[dict[str, Any], Iterable[str]]] = {
+        "refine": (refinement, [f.name for f in fields(Refine)]),
+        "trust": (trust, [f.name for f in fields(Limits)]),
+        **{role: (slot.parameters, slot.known) for role, slot in slots.items()},
     }
-    for role, slot in {**slots, **steps}.items():
-        takers[role] = (slot.parameters, set(slot.known))
-    everything = [f"{role}.{key}" for role, (_, known) in takers.items() for key in sorted(known)]
     for key, value in keywords.items():
-        part, _, short = key.rpartition(".")
-        owners = [role for role, (_, known) in takers.items() if short in known and part in ("", role)]
-        if len(owners) > 1:
-            raise ParameterError(f"'{key}' is ambiguous: write " + " or ".join(f"'{role}.{short}'" for role in owners))
-        if not owners:
-            own = ["model", "seed", "refine", "initial", "search_radius", "n_features", "nodata", "scale"]
-            names = everything if part else [*own, *ROLES, "filters", *(e.split(".")[1] for e in everything)]
-            raise ParameterError(f"no part of this method has a parameter '{key}', {suggest(key, set(names))}")
-        takers[owners[0]][0][short] = value
+        owner, short = _owner(key, {role: known for role, (_, known) in takers.items()})
+        if owner == "refine" and not refine:
+            raise ParameterError(f"'{key}' does nothing without refinement: leave it out, or ask for it (refine=True)")
+        if owner == "trust" and short in BLOCK_LIMITS and blocks is False:
+            raise ParameterError(f"'{key}' is a limit of scenes in blocks, these are whole images: leave it out")
+        takers[owner][0][short] = value
     for owner, given, cls in (("refine", refinement, Refine), ("trust", trust, Limits)):
         for name, value in given.items():
             registry.check_type(f"{owner}.{name}", value, getattr(cls, name))
-    return refinement, Limits(**trust)
+    return Refine(**refinement), Limits(**trust)
+
+
+def _owner(key: str, takers: Mapping[str, Iterable[str]]) -> tuple[str, str]:
+    """The part that has a parameter, and the parameter's own name."""
+    part, _, short = key.rpartition(".")
+    owners = [role for role, known in takers.items() if short in known and part in ("", role)]
+    if len(owners) == 1:
+        return owners[0], short
+    if owners:
+        raise ParameterError(f"'{key}' is ambiguous: write " + " or ".join(f"'{role}.{short}'" for role in owners))
+    whole = [f"{role}.{name}" for role, known in takers.items() for name in known]
+    known = whole if part else [*declared.BY_NAME, *(name for names in takers.values() for name in names)]
+    raise ParameterError(f"no part of this method has a parameter '{key}', {suggest(key, set(known))}")
 
 
 def _matcher(slots: Mapping[str, _Slot], budget: int, common_rotation: bool) -> Matcher:
     if "matcher" in slots:
-        ready: Matcher = slots["matcher"].make()
+        ready: Matcher = slots["matcher"].made
         return ready
     missing = [role for role in ("detector", "nearest") if role not in slots]
     if missing:
         raise ParameterError(f"a feature method needs a {' and a '.join(missing)}")
-    descriptor = slots["descriptor"].make() if "descriptor" in slots else None
+    descriptor = slots["descriptor"].made if "descriptor" in slots else None
     return FeatureMatcher(
-        slots["detector"].make(), descriptor, slots["nearest"].make(), budget, common_rotation=common_rotation
+        slots["detector"].made, descriptor, slots["nearest"].made, budget, common_rotation=common_rotation
     )

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from featreg.errors import ParameterError
-from featreg.interfaces import Descriptor, Detector, Matcher, Nearest
+from featreg.interfaces import Descriptor, Detector, Matcher, Nearest, Plugin
 from featreg.runtime.timing import stage
 from featreg.types import Features, FloatArray, Image, IntArray, Matches
 
@@ -49,6 +49,11 @@ class FeatureMatcher(Matcher):
         """That of the detector, or of the descriptor at the detector's largest keypoints."""
         found = self.detector.reach
         return found if self.descriptor is None else max(found, self.descriptor.reach_of(found))
+
+    @property
+    def parts(self) -> tuple[Plugin, ...]:
+        found = (self.detector, self.descriptor, self.nearest)
+        return tuple(part for part in found if part is not None)
 
     def match(self, reference: Image, secondary: Image) -> Matches:
         with stage("detect"):

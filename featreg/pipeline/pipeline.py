@@ -2,44 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
 
 from featreg.errors import ParameterError
-from featreg.geometry import inverse_variances
-from featreg.geometry.robust import irls
-from featreg.interfaces import FailedFit, Filter, FilterContext, Matcher, Model
-from featreg.pipeline.refine import Refine, Refined
-from featreg.pipeline.trust import Limits, assess
+from featreg.interfaces import Filter, FilterContext, Matcher, Model
+from featreg.pipeline.refine import Refine
+from featreg.pipeline.steps import Draft, filtered, fitted, judged, refined
+from featreg.pipeline.trust import Limits
 from featreg.results.registration import Registration
 from featreg.runtime.timing import collecting, stage
-from featreg.types import BoolArray, FloatArray, Gate, Image, IntArray, Matches
+from featreg.runtime.versions import versions
+from featreg.runtime.watching import Progress, Steps
+from featreg.types import BoolArray, Gate, Image, Matches
 
-# Errors below this, in pixels, are not told apart by the robust fit.
-SCALE_PX = 0.3
-# Rounds of the robust fit; the consensus before it is near the answer.
-ROUNDS = 3
-
-
-@dataclass(frozen=True, eq=False)
-class Gathered:
-    """What has been done block by block already, and is not done again over all.
-
-    Parameters
-    ----------
-    stages : name -> (M,) bool of the filters that ran, in their order
-    refine : from the first model to the refined tie points, or None where there are none
-    chance_shape : (H, W) of the area of the secondary over which a wrong match may lie
-    gates : further gates, of the final tie points and their model
-    """
-
-    stages: Mapping[str, BoolArray]
-    refine: Callable[[Model], Refined] | None
-    chance_shape: tuple[int, int]
-    gates: Callable[[Matches, BoolArray, Model], Mapping[str, Gate]]
+#: What `Pipeline.run` counts as one each: tie points, filters, model, refinement, judgement.
+STEPS = 5
 
 
 @dataclass(frozen=True)
@@ -78,6 +60,7 @@ class Pipeline:
         seed: int = 0,
         initial: Model | None = None,
         search_radius: float | None = None,
+        progress: Progress | None = None,
     ) -> Registration:
         """Register a pair.
 
@@ -87,142 +70,111 @@ class Pipeline:
         seed : of everything random
         initial : a model known beforehand; matches farther than `search_radius` pixels from it are dropped first
         search_radius : px; needed with `initial`
+        progress : called with (steps done, steps in all)
         """
         if self.matcher is None:
             raise ParameterError("this pipeline has no matcher: give it one, or use featreg.fit with tie points")
+        steps = Steps(STEPS, progress)
+        shapes = reference.shape, secondary.shape
         with collecting() as timings:
             matches = self.matcher.match(reference, secondary)
-            return self.finish(
-                matches,
-                reference,
-                secondary,
-                seed=seed,
-                initial=initial,
-                search_radius=search_radius,
-                timings=timings,
+            steps.advance()
+            stages = self.filtered(matches, *shapes, seed=seed, initial=initial, search_radius=search_radius)
+            steps.advance()
+            draft = self.fitted(matches, stages)
+            steps.advance()
+            if self.refine is not None:
+                with stage("refine"):
+                    found = None
+                    if draft.model:
+                        found = self.refine.run(reference, secondary, draft.model, matches, self.n_features)
+                    draft = refined(draft, found, 0 if found is None else self.refine.least(found.candidates))
+            steps.advance()
+            result = self.judged(
+                draft, *shapes, seed=seed, initial=initial, search_radius=search_radius, seconds=timings
             )
+            steps.advance()
+        return result
 
-    def finish(
+    def fit(
+        self, matches: Matches, reference_shape: tuple[int, int], secondary_shape: tuple[int, int], *, seed: int = 0
+    ) -> Registration:
+        """Filter, fit and judge given tie points; without the images nothing is refined."""
+        with collecting() as timings:
+            draft = self.fitted(matches, self.filtered(matches, reference_shape, secondary_shape, seed=seed))
+            return self.judged(draft, reference_shape, secondary_shape, seed=seed, seconds=timings)
+
+    def filtered(
         self,
         matches: Matches,
-        reference: Image | tuple[int, int],
-        secondary: Image | tuple[int, int],
+        reference_shape: tuple[int, int],
+        secondary_shape: tuple[int, int],
         *,
         seed: int = 0,
         initial: Model | None = None,
         search_radius: float | None = None,
-        timings: dict[str, float] | None = None,
-        gathered: Gathered | None = None,
-    ) -> Registration:
-        """Filter, fit, refine and judge tie points; images given as (H, W) only are not refined on.
-
-        `gathered` holds what was done block by block; its filters are not run again.
-        """
-        shapes = [i.shape if isinstance(i, Image) else i for i in (reference, secondary)]
-        context = FilterContext(shapes[0], shapes[1], self.model, np.random.default_rng(seed), initial)
-        done = {} if gathered is None else gathered.stages
-        stages, kept = self._filter(matches, context, initial, search_radius, done)
-        with stage("model"):
-            model, inliers = self._fit(matches, kept)
-        supported, putative = kept, np.ones(len(matches), np.bool_)
-        judged: Model | FailedFit = model
-        refine = self._refinement(reference, secondary, matches) if gathered is None else gathered.refine
-        if self.refine is not None and refine is not None:
-            with stage("refine"):
-                if model:
-                    refined = refine(model)
-                    count = len(refined.matches)
-                    useful = bool(refined.model) and count >= self.refine.least(refined.candidates)
-                    judged = refined.model if useful else model
-                    added = np.ones(count if useful else 0, np.bool_)
-                    if useful:
-                        matches = matches.appended(refined.matches)
-                        inliers = np.concatenate([np.zeros(len(kept), np.bool_), added])
-                    stages = {name: np.concatenate([mask, ~added]) for name, mask in stages.items()}
-                    supported, putative = (np.concatenate([m, ~added]) for m in (supported, putative))
-                    stages["refine"] = np.concatenate([np.zeros(len(kept), np.bool_), added])
-                else:
-                    stages["refine"] = np.zeros(len(matches), np.bool_)
-        with stage("trust"):
-            status, reason, gates = assess(
-                matches,
-                putative,
-                supported,
-                inliers,
-                judged,
-                shapes[0],
-                shapes[1] if gathered is None else gathered.chance_shape,
-                self.limits,
-                initial,
-                search_radius,
-                {} if gathered is None or not judged else gathered.gates(matches, inliers, judged),
-            )
-        return Registration(
-            matches, stages, inliers, judged, status, reason, gates, dict(timings or {}), self._provenance(seed)
-        )
-
-    def _refinement(
-        self, reference: Image | tuple[int, int], secondary: Image | tuple[int, int], matches: Matches
-    ) -> Callable[[Model], Refined] | None:
-        """The refinement on two images; None where there is none or the images are not at hand."""
-        refine = self.refine
-        if refine is None or not isinstance(reference, Image) or not isinstance(secondary, Image):
-            return None
-        return lambda model: refine.run(reference, secondary, model, matches, self.n_features)
-
-    def _filter(
-        self,
-        matches: Matches,
-        context: FilterContext,
-        initial: Model | None,
-        search_radius: float | None,
-        done: Mapping[str, BoolArray],
-    ) -> tuple[dict[str, BoolArray], BoolArray]:
-        """Every filter sees what the one before it kept; its mask covers all matches."""
-        kept = np.ones(len(matches), np.bool_)
-        stages: dict[str, BoolArray] = dict(done)
-        for mask in done.values():
-            kept = kept & mask
+        before: Mapping[str, BoolArray] | None = None,
+    ) -> dict[str, BoolArray]:
+        """The stages of tie points, name -> (M,) bool: those that ran `before`, the model known beforehand, filters."""
+        stages = dict(before or {})
         if initial is not None:
             if search_radius is None or not search_radius > 0:
                 raise ParameterError(f"initial needs search_radius > 0 px, got {search_radius}")
-            kept = kept & (initial.residuals(matches.reference_xy, matches.secondary_xy) <= search_radius)
-            stages["initial"] = kept
-        for name, keeper in self.filters:
-            if name in done:
-                continue
-            with stage(name):
-                rows = np.flatnonzero(kept)
-                kept = np.zeros(len(matches), np.bool_)
-                kept[rows[keeper.keep(matches.take(rows), context)]] = True
-            stages[name] = kept
-        return stages, kept
+            stages["initial"] = initial.residuals(matches.reference_xy, matches.secondary_xy) <= search_radius
+            for mask in (before or {}).values():
+                stages["initial"] = stages["initial"] & mask
+        left = [(name, keeper) for name, keeper in self.filters if name not in stages]
+        context = FilterContext(reference_shape, secondary_shape, self.model, np.random.default_rng(seed), initial)
+        return filtered(matches, left, context, stages)
 
-    def _fit(self, matches: Matches, kept: BoolArray) -> tuple[Model | FailedFit, BoolArray]:
-        """Fit to what the filters kept; the inliers are those the fit did not leave out, best score first."""
-        here, there = matches.reference_xy[kept], matches.secondary_xy[kept]
-        model: Model | FailedFit
-        if self.robust:
-            known = None if matches.covariance is None else inverse_variances(matches.covariance[kept])
-            model, weights = irls(self.model, here, there, weights=known, scale_px=SCALE_PX, iterations=ROUNDS)
-        else:
-            model, weights = self.model.from_estimate(here, there), np.ones(len(here))
-        inliers = np.zeros(len(matches), np.bool_)
-        if isinstance(model, FailedFit):
-            return model, inliers
-        rows = np.flatnonzero(kept)[weights > 0]
-        rows = rows[np.argsort(-matches.score[rows], kind="stable")]
-        inliers[rows[_distinct_rows(matches.reference_xy[rows])][: self.n_features]] = True
-        return model, inliers
+    @property
+    def block_filters(self) -> tuple[tuple[str, Filter], ...]:
+        """The filters that a scene may run block by block: those before the first that looks at all tie points."""
+        return tuple(takewhile(lambda step: step[1].local, self.filters))
 
-    def _provenance(self, seed: int) -> dict[str, Any]:
-        from featreg.runtime.versions import versions
+    def fitted(self, matches: Matches, stages: Mapping[str, BoolArray]) -> Draft:
+        """The model of what the stages kept."""
+        return fitted(matches, stages, self.model, self.n_features, robust=self.robust)
 
-        return {"method": self.name, "seed": seed, "parameters": dict(self.parameters), "versions": versions()}
+    def judged(
+        self,
+        draft: Draft,
+        reference_shape: tuple[int, int],
+        chance_shape: tuple[int, int],
+        *,
+        seed: int,
+        seconds: dict[str, float],
+        initial: Model | None = None,
+        search_radius: float | None = None,
+        further: Mapping[str, Gate] | None = None,
+    ) -> Registration:
+        """The registration of a draft, by the pipeline's own limits; parameters as `featreg.pipeline.steps.judged`.
 
-
-def _distinct_rows(xy: FloatArray) -> IntArray:
-    """Rows of the first of each set of equal points, in order."""
-    order = np.lexsort(xy.T)
-    new = np.concatenate([[True], (np.diff(xy[order], axis=0) != 0).any(axis=1)]) if len(xy) else np.zeros(0, np.bool_)
-    return np.sort(order[new])
+        `seconds` by stage are read last, when judging has added its own.
+        """
+        status, reason, gates = judged(
+            draft,
+            (reference_shape, chance_shape),
+            self.limits,
+            initial=initial,
+            search_radius=search_radius,
+            further=further,
+        )
+        provenance = {
+            "method": self.name,
+            "seed": seed,
+            "parameters": dict(self.parameters),
+            "global_filters": [name for name, keeper in self.filters if not keeper.local],
+            "versions": versions(),
+        }
+        return Registration(
+            draft.matches,
+            draft.stages,
+            draft.inliers,
+            draft.model,
+            status,
+            reason,
+            gates,
+            dict(seconds),
+            provenance,
+        )

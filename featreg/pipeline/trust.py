@@ -22,13 +22,12 @@ from featreg.geometry import (
     refitted_covariance,
     regional_covariance,
 )
-from featreg.geometry.cells import cells
+from featreg.geometry.cells import cells, spread
 from featreg.geometry.robust import irls
 from featreg.interfaces import FailedFit, Model
 from featreg.types import BoolArray, FloatArray, Gate, Matches
 
-# Cells along the longer side of the reference in which tie points are counted once, and for the spread.
-SPREAD_CELLS = 8
+# Side of the cells in which tie points are counted once.
 DISTINCT_PX = 6.0
 # Regions along each side of the tie points' bounding box that are left out in turn.
 REGIONS = 4
@@ -166,9 +165,8 @@ def assess(
     linear = local_linear(model, centre)[0]
     determinant = float(np.linalg.det(linear))
     gate("determinant", determinant, "of the model's linear part; the images are mirrored where negative", low=0.0)
-    _, _, anisotropy, _ = decompose(linear)
     gate("scale", math.sqrt(abs(determinant)), "scale at the centre", low=1 / limits.scale, high=limits.scale)
-    gate("anisotropy", anisotropy, "ratio of the two scales at the centre", high=limits.anisotropy)
+    gate("anisotropy", decompose(linear).anisotropy, "ratio of the two scales at the centre", high=limits.anisotropy)
     if initial is not None:
         apart = float(np.hypot(*(model(here) - initial(here)).T).mean()) if len(here) else math.nan
         gate("prior", apart, "mean distance from the initial model, px", high=search_radius)
@@ -189,13 +187,6 @@ def _text(gate: Gate) -> str:
 def distinct(reference_xy: FloatArray, secondary_xy: FloatArray) -> int:
     """Number of tie points once those that share a cell of 6 px, in either image, count as one."""
     return min(len(np.unique(cells(xy, DISTINCT_PX))) for xy in (reference_xy, secondary_xy))
-
-
-def spread(xy: FloatArray, shape: tuple[int, int]) -> float:
-    """Share of the cells of an 8 x 8 grid over an image of (H, W) that hold a point."""
-    cells = np.floor(xy / np.array(shape[::-1]) * SPREAD_CELLS).astype(np.int64)
-    inside = ((cells >= 0) & (cells < SPREAD_CELLS)).all(axis=1)
-    return len(np.unique(cells[inside] @ np.array([1, SPREAD_CELLS]))) / SPREAD_CELLS**2
 
 
 def log10_chance(

@@ -12,18 +12,17 @@ import numpy as np
 from featreg.errors import FeatregError
 from featreg.geometry import decompose, local_linear
 from featreg.interfaces import FailedFit
+from featreg.report.data import ReportEntry, ReportPair, ReportStudy, ReportSweep, ReportTable
 from featreg.report.pictures import BUDGET, Picture, picture
-from featreg.report.study import ReportEntry, ReportPair, ReportStudy, ReportSweep, ReportTable
 from featreg.report.tie_points import is_affine, lattice, tie_points
 from featreg.results.json_file import plain
 from featreg.results.registration import Registration
-from featreg.study.evaluation import default_stage, match_errors, matching_accuracy_curve, stage_mask
+from featreg.study.evaluation import CURVE, default_stage, match_errors, matching_accuracy_curve, stage_mask
 from featreg.study.truth import Truth
 from featreg.types import FloatArray
 
 #: Tie points of one result that are kept at most, and at least; base64 letters of all of them together.
 MOST, LEAST, LETTERS = 8000, 200, 9_400_000
-CURVE = tuple(range(1, 11))
 
 
 def content(study: ReportStudy) -> tuple[dict[str, Any], dict[str, str]]:
@@ -178,12 +177,12 @@ def _model(registration: Registration, size: tuple[int, int] | None) -> list[lis
     lines = [["model", type(model).__name__]]
     if size is not None:
         centre = (np.array(size, np.float64) - 1) / 2
-        rotation, scale, anisotropy, _ = decompose(local_linear(model, centre))
+        linear = decompose(local_linear(model, centre))
         dx, dy = (np.asarray(model(centre[None]))[0] - centre).tolist()
         lines += [
-            ["rotation", f"{rotation:+.3f}°"],
-            ["scale", f"{scale:.5f}"],
-            ["anisotropy", f"{anisotropy:.4f}"],
+            ["rotation", f"{linear.rotation_deg:+.3f}°"],
+            ["scale", f"{linear.scale:.5f}"],
+            ["anisotropy", f"{linear.anisotropy:.4f}"],
             ["shift at the centre", f"{dx:+.2f}, {dy:+.2f} px"],
         ]
     if registration.inliers.any():
@@ -232,7 +231,7 @@ def _curves(study: ReportStudy, methods: list[str], errors: Mapping[int, FloatAr
                 curves.append(np.zeros(len(CURVE)))
             else:
                 rows = stage_mask(registration, entry.stage or default_stage(registration))
-                curves.append(matching_accuracy_curve(distance[rows], CURVE))
+                curves.append(matching_accuracy_curve(distance[rows]))
         if curves:
             found[method] = plain(np.mean(curves, axis=0).round(5))
     return found

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from featreg.errors import InputError
 from featreg.report.content import content
-from featreg.report.study import ReportStudy
+from featreg.report.data import ReportStudy
 from featreg.runtime.files import write_atomic
 
 #: The parts of the page's code, in the order in which they build on each other.

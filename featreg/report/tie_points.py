@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from featreg.errors import InputError
 from featreg.pictures.drawing import spread_out
-from featreg.report.study import ReportEntry
+from featreg.report.data import ReportEntry
 from featreg.results.registration import Registration
 from featreg.study.evaluation import default_stage, stage_mask
 from featreg.types import BoolArray, FloatArray

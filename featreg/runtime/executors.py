@@ -18,6 +18,7 @@ from contextlib import contextmanager
 from typing import Any, Protocol
 
 from featreg.errors import CancelledError, FeatregError, ParameterError
+from featreg.runtime.watching import Canceller
 
 #: Tasks handed over ahead of the results for each worker, and for an executor of unknown size.
 AHEAD = 3
@@ -30,12 +31,6 @@ GLANCE = 0.2
 logger = logging.getLogger(__name__)
 
 Task = Callable[[Any], Any]
-
-
-class Canceller(Protocol):
-    """What `cancel` must offer; a `threading.Event` does."""
-
-    def is_set(self) -> bool: ...
 
 
 class Lane(Protocol):

@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
+from featreg.runtime.watching import check_cancelled
+
 _current: ContextVar[dict[str, float] | None] = ContextVar("featreg_timings", default=None)
 
 
@@ -23,7 +25,14 @@ def collecting() -> Iterator[dict[str, float]]:
 
 @contextmanager
 def stage(name: str) -> Iterator[None]:
-    """Add the time spent inside to stage `name` of the collection around, if there is one."""
+    """Add the time spent inside to stage `name` of the collection around, if there is one.
+
+    Raises
+    ------
+    CancelledError
+        The work around was cancelled, see `featreg.runtime.watching`.
+    """
+    check_cancelled()
     timings = _current.get()
     if timings is None:
         yield

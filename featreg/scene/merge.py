@@ -13,6 +13,7 @@ from featreg.geometry import prediction_covariance, refitted_covariance
 from featreg.geometry.robust import irls
 from featreg.interfaces import FailedFit, Model
 from featreg.pipeline.refine import ROUNDS, Refined
+from featreg.pipeline.steps import survivors
 from featreg.pipeline.trust import Limits
 from featreg.scene.blocks import Block
 from featreg.scene.prior import Prior
@@ -152,9 +153,7 @@ def block_gates(
     contributing = len(np.unique(owners))
     share = contributing / tried if tried else 0.0
     error = held_out_rmse(blocks, owners, matches, model, merged)
-    kept = np.ones(len(merged.matches), np.bool_)
-    for mask in merged.stages.values():
-        kept = kept & mask
+    kept = survivors(merged.stages, len(merged.matches))
     here, there = merged.matches.reference_xy[kept], merged.matches.secondary_xy[kept]
     off = float(np.median(np.hypot(*(prior(here) - there).T))) if len(here) else None
     limit = 0.6 * prior.uncertainty_px
@@ -215,9 +214,7 @@ def block_errors(merged: Merged, model: Model, count: int) -> FloatArray:
     Where no block was refined, those that the local filters kept speak, if over half of them move alike.
     """
     refined = bool(len(merged.refined))
-    kept = np.ones(len(merged.matches), np.bool_)
-    for mask in merged.stages.values():
-        kept = kept & mask
+    kept = survivors(merged.stages, len(merged.matches))
     points = merged.refined if refined else merged.matches.take(np.flatnonzero(kept))
     owners = merged.refined_blocks if refined else merged.blocks[kept]
     away = points.secondary_xy - model(points.reference_xy)

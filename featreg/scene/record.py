@@ -9,7 +9,7 @@ import numpy as np
 
 from featreg.io.raster_source import Source
 from featreg.scene.blocks import Block
-from featreg.scene.task import BlockResult, survivors
+from featreg.scene.task import BlockResult
 from featreg.types import IntArray
 
 
@@ -32,7 +32,7 @@ def block_table(blocks: Sequence[Block], results: Sequence[BlockResult]) -> dict
         "status": [r.status for r in ordered],
         "reason": [r.reason for r in ordered],
         "putative": [len(r.matches) for r in ordered],
-        "kept": [int(survivors(r).sum()) for r in ordered],
+        "kept": [int(r.supported.sum()) for r in ordered],
         "refined": [len(r.refined) for r in ordered],
     }
 

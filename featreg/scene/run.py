@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,31 +17,24 @@ from featreg.errors import ParameterError
 from featreg.geolocation import ConstantHeight, DemHeights, Heights, RpcBias, Transfer, sensor_of
 from featreg.interfaces import Matcher, Model
 from featreg.io.raster_source import ImageSource, Source
-from featreg.pipeline.assembly import assemble
-from featreg.pipeline.pipeline import Gathered, Pipeline
-from featreg.presets import PRESETS
+from featreg.pipeline.pipeline import Pipeline
+from featreg.pipeline.steps import refined
 from featreg.results.registration import Registration
-from featreg.runtime.executors import Canceller, Lane, open_lane
+from featreg.runtime.executors import Lane, open_lane
 from featreg.runtime.timing import collecting, stage
 from featreg.runtime.versions import versions
+from featreg.runtime.watching import Canceller, Progress, cancellable
 from featreg.scene.blocks import Block, halo_of, plan_blocks, spread_out
 from featreg.scene.first_prior import first_prior
 from featreg.scene.merge import Merged, accuracy, block_errors, block_gates, concatenated, fit_refined, merge
 from featreg.scene.prior import Prior, corrected
 from featreg.scene.record import block_table, inputs_of_sources, seconds_of, with_final
 from featreg.scene.state import BlockFiles, digest_of
-from featreg.scene.task import BlockResult, Job, run_block, survivors
-from featreg.types import BoolArray, Gate, IntArray, Matches
+from featreg.scene.task import BlockResult, Job, run_block
 
-#: Features of a block: detection takes the same time for a hundred as for a thousand.
-FEATURES = 1000
-#: Cells of GMS along a block, which holds fewer tie points than a whole image does.
-GMS_CELLS = 10
 #: Most and fewest pilot blocks.
 PILOTS = 9
 LEAST_PILOTS = 4
-
-Progress = Callable[[int, int], None]
 
 logger = logging.getLogger(__name__)
 
@@ -76,17 +69,6 @@ class SceneOptions:
         return ConstantHeight(self.height or 0.0) if self.dem is None else DemHeights(os.path.abspath(self.dem))
 
 
-def assemble_scene(method: Any, *, n_features: int | None, **keywords: Any) -> Pipeline:
-    """`featreg.pipeline.assembly.assemble` with the budgets of a block where none are asked for."""
-    if isinstance(method, Pipeline):
-        return assemble(method, n_features=n_features, **keywords)
-    preset = PRESETS.get(method) if isinstance(method, str) else None
-    given = {"grid", "gms.grid", "filters"} & set(keywords)
-    if preset is not None and not given and any(part.name == "gms" for part in preset.filters):
-        keywords["gms.grid"] = GMS_CELLS
-    return assemble(method, n_features=FEATURES if n_features is None else n_features, **keywords)
-
-
 def match_scene(
     reference: Source,
     secondary: Source,
@@ -102,8 +84,8 @@ def match_scene(
     Parameters
     ----------
     reference, secondary : the scenes
-    pipeline : the method; its matcher, local filters and refinement run in each block, the other filters, the model and
-        trust once over all
+    pipeline : the method; its matcher, its `block_filters` and refinement run in each block, the other filters, the
+        model and trust once over all
     options : how
     seed : of everything random
     initial, search_radius : a model known beforehand, in place of geolocation
@@ -119,19 +101,20 @@ def match_scene(
     if matcher is None:
         raise ParameterError("this pipeline has no matcher: give it one, or use featreg.fit with tie points")
     heights = options.heights()
+    _check_heights(options, pipeline, (reference, secondary), initial)
     with collecting() as timings:
         with ExitStack() as stack:
             lane = stack.enter_context(open_lane(options.executor, options.workers))
             shared = _shareable(reference, secondary, lane, stack)
             pipeline = _bound(pipeline, reference, secondary, heights)
-            with stage("prior"):
+            with cancellable(options.cancel), stage("prior"):
                 found = first_prior(pipeline, reference, secondary, heights, seed, initial, search_radius)
             if isinstance(found, Registration):
                 return found
             prior, area = found
             blocks = plan_blocks(area, options.block)
             pipeline = replace(pipeline, n_features=pipeline.n_features * len(blocks))
-            job = _job(pipeline, matcher, *shared, seed, lane, len(blocks))
+            job = _job(pipeline, matcher, *shared, seed, lane, len(blocks), initial)
             with stage("prior"):
                 prior = _piloted(job, prior, blocks, lane, options.cancel, seed)
             with stage("blocks"):
@@ -145,6 +128,21 @@ def match_scene(
             pipeline, merged, blocks, record, prior, reference, secondary, options,
             seed=seed, initial=initial, search_radius=search_radius, timings=timings,
         )  # fmt: skip
+
+
+def _check_heights(options: SceneOptions, pipeline: Pipeline, sources: Sequence[Source], initial: Model | None) -> None:
+    """Raise where heights of the ground were given that nothing would look at."""
+    given = next((name for name in ("dem", "height") if getattr(options, name) is not None), None)
+    if given is None or pipeline.model is RpcBias:
+        return
+    if initial is not None:
+        raise ParameterError(f"{given} does nothing here: the prior is the initial model; leave one of them out")
+    for source in sources:
+        if source.geolocation is None:
+            raise ParameterError(
+                f"{given} does nothing here: {source.name} does not say where it lies, so the prior is a match of the "
+                "overviews; leave it out"
+            )
 
 
 def _shareable(reference: Source, secondary: Source, lane: Lane, stack: ExitStack) -> tuple[Source, Source]:
@@ -179,11 +177,11 @@ def _job(
     seed: int,
     lane: Lane,
     count: int,
+    initial: Model | None,
 ) -> Job:
-    local = tuple((name, keeper) for name, keeper in pipeline.filters if keeper.local)
     return Job(
-        reference, secondary, matcher, local, pipeline.model, pipeline.refine, seed,
-        max(1, pipeline.n_features // count), halo_of(matcher, pipeline.refine), lane.own_process,
+        reference, secondary, matcher, pipeline.block_filters, pipeline.model, pipeline.refine, seed,
+        max(1, pipeline.n_features // count), halo_of(matcher, pipeline.refine), lane.own_process, initial,
     )  # fmt: skip
 
 
@@ -195,7 +193,7 @@ def _piloted(job: Job, prior: Prior, blocks: Sequence[Block], lane: Lane, cancel
         key=lambda result: result.index,
     )
     done = [r for r in found if r.status == "done"]
-    together = concatenated([r.matches.take(survivors(r)) for r in done])
+    together = concatenated([r.matches.take(r.supported) for r in done])
     return corrected(prior, together.reference_xy, together.secondary_xy, np.random.default_rng([seed, len(blocks)]))
 
 
@@ -283,29 +281,27 @@ def _finished(
     timings: dict[str, float],
 ) -> Registration:
     """Global filters, model, refined model and trust over the tie points of all blocks."""
-    owners: list[IntArray] = [merged.blocks]
     counts, table, seconds = record
-    tried = table["status"].count("done")
-
-    def refine(first: Model) -> Any:
-        limit = pipeline.refine.max_residual if pipeline.refine is not None else 1.0
-        refined, mine = fit_refined(merged, first, limit)
-        owners[:] = [merged.blocks, mine]
-        return refined
-
-    def gates(matches: Matches, inliers: BoolArray, model: Model) -> Mapping[str, Gate]:
-        # Refined tie points that were not worth using were not appended either.
-        everyone = np.concatenate(owners)[: len(matches)]
-        final = matches.take(np.flatnonzero(inliers))
-        return block_gates(blocks, tried, everyone[inliers], final, model, merged, prior, pipeline.limits)
-
-    gathered = Gathered(merged.stages, refine if pipeline.refine is not None else None, merged.chance_shape, gates)
-    result = pipeline.finish(
-        merged.matches, reference.shape, secondary.shape, seed=seed, initial=initial, search_radius=search_radius,
-        timings=timings, gathered=gathered,
-    )  # fmt: skip
-    everyone = np.concatenate(owners)[: len(result.matches)]
-    final = result.matches.take(result.inliers)
+    matches, owners, shapes = merged.matches, merged.blocks, (reference.shape, secondary.shape)
+    known: Any = {"seed": seed, "initial": initial, "search_radius": search_radius}
+    draft = pipeline.fitted(matches, pipeline.filtered(matches, *shapes, before=merged.stages, **known))
+    if pipeline.refine is not None:
+        with stage("refine"):
+            found, mine = None, owners[:0]
+            if draft.model:
+                found, mine = fit_refined(merged, draft.model, pipeline.refine.max_residual)
+            draft = refined(draft, found, 0 if found is None else pipeline.refine.least(found.candidates))
+        # Refined tie points that were not worth using were not appended.
+        owners = np.concatenate([owners, mine])[: len(draft.matches)]
+    final = draft.matches.take(np.flatnonzero(draft.inliers))
+    gates = {}
+    if draft.model:
+        tried = table["status"].count("done")
+        with stage("trust"):
+            gates = block_gates(
+                blocks, tried, owners[draft.inliers], final, draft.model, merged, prior, pipeline.limits
+            )
+    result = pipeline.judged(draft, reference.shape, merged.chance_shape, further=gates, seconds=timings, **known)
     errors = block_errors(merged, result.model, len(blocks)) if result.model else np.zeros(0)
     return replace(
         result,
@@ -314,8 +310,8 @@ def _finished(
             **result.provenance,
             "inputs": inputs_of_sources(reference, secondary),
             "blocks": counts,
-            "block_table": with_final(table, everyone[result.inliers]),
-            "tie_point_blocks": everyone,
+            "block_table": with_final(table, owners[result.inliers]),
+            "tie_point_blocks": owners,
             "prior": prior.record(),
             "heights": options.heights().to_dict(),
             "accuracy": accuracy(result.model, final, errors, result.gates, reference.shape),

@@ -14,11 +14,12 @@ from featreg.geometry import Affine
 from featreg.geometry.robust import irls
 from featreg.interfaces import FailedFit, Filter, FilterContext, Matcher, Model
 from featreg.io.raster_source import Source, Window
-from featreg.pipeline.pipeline import ROUNDS, SCALE_PX
 from featreg.pipeline.refine import Refine
+from featreg.pipeline.steps import ROUNDS, SCALE_PX, filtered, survivors
 from featreg.runtime.timing import collecting, stage
 from featreg.scene.blocks import Block
 from featreg.scene.prior import Prior
+from featreg.scene.window_model import WindowModel
 from featreg.types import BoolArray, FloatArray, Image, Matches
 
 #: Least share of a window's pixels that are data.
@@ -43,13 +44,14 @@ class Job:
     ----------
     reference, secondary : the scenes
     matcher : the source of tie points
-    filters : (name, filter) of the local filters, in their order
+    filters : (name, filter) of those that run block by block, in their order
     model : class of the model to be fitted over all blocks, which filters may ask for
     refine : the refinement, or None
     seed : of everything random
     n_features : most tie points of a block
     halo : pixels read beyond a block on each side
     own_process : whether the work is done in a process of its own, whose library threads are ours to set
+    initial : a model known beforehand, in pixels of the scenes, which filters may ask for
     """
 
     reference: Source
@@ -62,6 +64,7 @@ class Job:
     n_features: int
     halo: int
     own_process: bool = False
+    initial: Model | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +93,11 @@ class BlockResult:
     candidates: int = 0
     window: Window | None = None
     seconds: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def supported(self) -> BoolArray:
+        """(M,) tie points that every stage of the block kept."""
+        return survivors(self.stages, len(self.matches))
 
 
 def run_block(job: Job, prior: Prior, block: Block) -> BlockResult:
@@ -122,23 +130,18 @@ def _matched(job: Job, prior: Prior, block: Block) -> BlockResult:
     if why:
         return BlockResult(block.index, "skipped", why, window=there)
     found = job.matcher.match(reference, secondary)
-    context = FilterContext(reference.shape, secondary.shape, job.model, np.random.default_rng([job.seed, block.index]))
+    rng = np.random.default_rng([job.seed, block.index])
+    known = None if job.initial is None else WindowModel(job.initial, here, there)
+    context = FilterContext(reference.shape, secondary.shape, job.model, rng, known)
     with stage("prior"):
         predicted = prior(found.reference_xy + here.origin) - there.origin
         # A point that the prior does not reach cannot agree with it.
         off = np.hypot(*(predicted - found.secondary_xy).T)
         near = np.nan_to_num(off, nan=np.inf) <= prior.uncertainty_px * np.sqrt(2)
-    stages = {"prior": near}
-    kept = near
-    for name, keeper in job.filters:
-        with stage(name):
-            rows = np.flatnonzero(kept)
-            kept = np.zeros(len(found), np.bool_)
-            kept[rows[keeper.keep(found.take(rows), context)]] = True
-        stages[name] = kept
+    stages = filtered(found, job.filters, context, {"prior": near})
     refined, candidates = Matches.empty(), 0
     if job.refine is not None:
-        local = _local_model(prior, here, there, found.take(np.flatnonzero(kept)))
+        local = _local_model(prior, here, there, found.take(np.flatnonzero(survivors(stages, len(found)))))
         if local is not None:
             with stage("refine"):
                 seen = job.refine.run(reference, secondary, local, Matches.empty(), REFINED)
@@ -225,14 +228,6 @@ def _moved(matches: Matches, here: Window, there: Window) -> Matches:
         secondary_xy=matches.secondary_xy + there.origin,
         origin=np.full(len(matches), -1),
     )
-
-
-def survivors(result: BlockResult) -> BoolArray:
-    """(M,) tie points of a block that every local stage kept."""
-    kept = np.ones(len(result.matches), np.bool_)
-    for mask in result.stages.values():
-        kept = kept & mask
-    return kept
 
 
 def columns_of(result: BlockResult) -> dict[str, NDArray[Any]]:

@@ -203,7 +203,9 @@ class _Engine:
                 name, keywords = self._detection(job, role)
                 if name not in calls:
                     image = getattr(self.pairs[job.pair], role)
-                    key = self.store.key(self._image_name(job, role), (image,), {**keywords, "only": "keypoints"})
+                    method = {name: value for name, value in keywords.items() if name != "mask"}
+                    also = ["keypoints", keywords.get("mask")]
+                    key = self.store.key(self._image_name(job, role), (image,), method, also)
                     calls[name] = (image, keywords, key)
         return calls
 

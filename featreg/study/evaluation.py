@@ -8,21 +8,24 @@ what the user of a registration wants to know: how far the fitted model lies fro
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from featreg.errors import InputError, ParameterError
+from featreg.geometry.cells import spread
 from featreg.interfaces import FailedFit
+from featreg.registry import entries
 from featreg.results.registration import Registration
 from featreg.study.truth import Truth, TruthLike, read_truth
 from featreg.types import BoolArray, FloatArray, points
 
-#: Filters that look at all tie points at once; NM is counted before them.
-GLOBAL_STAGES = ("fsc", "ransac", "mad", "refine")
+#: Thresholds of the mean matching accuracy curve, px.
+CURVE = tuple(range(1, 11))
 
 
 @dataclass(frozen=True)
@@ -81,8 +84,8 @@ def evaluate(
     registration : what `match` returned, or was read from its JSON
     truth : see `featreg.study.truth.read_truth`
     threshold : px, greatest distance of a correct match
-    stage : a filter's name, "putative" or "inliers"; by default "gms" where the result has it, else the last filter
-        other than FSC, RANSAC, MAD and refinement, else all putative matches
+    stage : a filter's name, "putative" or "inliers"; by default the last before the first filter that looks at all tie
+        points at once (FSC, RANSAC, MAD, ...), else all putative matches
     image_shape : (H, W) of the reference, where the result does not say it
 
     Returns
@@ -120,7 +123,7 @@ def evaluate(
         unscored=len(errors) - nm,
         inliers=int(registration.inliers.sum()),
         spread=np.nan if shape is None else spread(matches.reference_xy[registration.inliers], shape),
-        time_s=computing_time(registration),
+        time_s=computing_time(registration.timings),
         model_failed=failed,
         status=registration.status,
         truth_residual_px=known.residual_px,
@@ -128,9 +131,19 @@ def evaluate(
 
 
 def default_stage(registration: Registration) -> str:
-    """Return the stage at which NM is counted: "gms", else the last filter before the global ones, else "putative"."""
-    local = [name for name in registration.stages if name not in GLOBAL_STAGES]
-    return "gms" if "gms" in local else local[-1] if local else "putative"
+    """Return the stage at which NM is counted: the last before the first global filter, else "putative"."""
+    local = list(takewhile(lambda name: not _is_global(registration, name), registration.stages))
+    return local[-1] if local else "putative"
+
+
+def _is_global(registration: Registration, stage: str) -> bool:
+    """Whether a stage looks at all tie points at once, as the result says, or the registry where it does not."""
+    said = registration.provenance.get("global_filters")
+    if stage == "refine":
+        return True
+    if said is not None:
+        return stage in said
+    return any(entry.name == stage and not getattr(entry.factory, "local", False) for entry in entries("filter"))
 
 
 def stage_mask(registration: Registration, stage: str | None = None) -> BoolArray:
@@ -152,9 +165,8 @@ def stage_mask(registration: Registration, stage: str | None = None) -> BoolArra
     raise InputError(f"the result has no stage '{name}'; it has {known}")
 
 
-def computing_time(registration: Registration) -> float:
+def computing_time(timings: Mapping[str, float]) -> float:
     """Return the seconds of all stages together."""
-    timings = registration.timings
     return float(timings["total"] if "total" in timings else sum(timings.values()))
 
 
@@ -202,29 +214,6 @@ def grid_rmse(
     if not known.any():
         return float("nan")
     return float(np.sqrt(np.mean(np.sum((np.asarray(model(grid[known])) - wanted[known]) ** 2, axis=1))))
-
-
-def repeatability(
-    reference_xy: ArrayLike,
-    secondary_xy: ArrayLike,
-    truth: TruthLike,
-    secondary_shape: tuple[int, int],
-    threshold: float = 1.5,
-) -> float:
-    """Return the share of reference keypoints found again among the secondary keypoints.
-
-    Only keypoints that the truth maps into the secondary image of shape (H, W) count; each is found again when a
-    secondary keypoint lies within `threshold` pixels. 0 where none counts.
-    """
-    from scipy.spatial import cKDTree
-
-    mapped = read_truth(truth)(reference_xy)
-    mapped = mapped[_inside(mapped, secondary_shape)]
-    there = points(secondary_xy, "secondary_xy")
-    if len(mapped) == 0 or len(there) == 0:
-        return 0.0
-    distance, _ = cKDTree(there).query(mapped)
-    return float(np.mean(distance <= threshold))
 
 
 def repeatable(
@@ -308,7 +297,7 @@ def area_under_curve(errors: ArrayLike, limit: float) -> float:
     return float(np.mean(np.maximum(0.0, 1 - array / limit))) if len(array) else 0.0
 
 
-def matching_accuracy_curve(errors: ArrayLike, thresholds: Sequence[float] = tuple(range(1, 11))) -> FloatArray:
+def matching_accuracy_curve(errors: ArrayLike, thresholds: Sequence[float] = CURVE) -> FloatArray:
     """Return the share of matches within each threshold (mean matching accuracy, by default at 1 to 10 px).
 
     NaN errors are not scored; zeros where there are no errors.
@@ -316,14 +305,6 @@ def matching_accuracy_curve(errors: ArrayLike, thresholds: Sequence[float] = tup
     known = np.sort(_known(errors))
     counts = np.searchsorted(known, np.asarray(thresholds, dtype=np.float64), side="right")
     return counts / max(len(known), 1)
-
-
-def spread(xy: ArrayLike, shape: tuple[int, int], cells: int = 8) -> float:
-    """Return the share of the cells of a `cells` x `cells` grid over an image of shape (H, W) that hold a point."""
-    share = (points(xy, "xy") + 0.5) / (shape[1], shape[0])
-    share = share[((share >= 0) & (share <= 1)).all(axis=1)]
-    cell = np.minimum((share * cells).astype(np.int64), cells - 1)
-    return len(np.unique(cell[:, 1] * cells + cell[:, 0])) / cells**2
 
 
 def _known(errors: ArrayLike) -> FloatArray:

@@ -14,11 +14,11 @@ from typing import Any, Self
 
 from featreg.errors import FeatregError, ParameterError
 from featreg.study.engine import Run, run_jobs
+from featreg.study.experiment_results import Study
 from featreg.study.jobs import Job, Method, Pair
 from featreg.study.metrics import STANDARD, check_metrics, metric_of
-from featreg.study.prediction_cache import NOT_OF_PIPELINE, PredictionCache
+from featreg.study.prediction_cache import PredictionCache
 from featreg.study.protocol import Protocol
-from featreg.study.study import Study
 
 
 @dataclass(frozen=True)
@@ -63,9 +63,7 @@ class Experiment:
     def __post_init__(self) -> None:
         put = object.__setattr__
         if isinstance(self.protocol, Mapping):
-            from featreg.study.schema import protocol_of
-
-            put(self, "protocol", protocol_of(self.protocol, "protocol"))
+            put(self, "protocol", Protocol.from_dict(self.protocol))
         for name in ("pairs", "methods"):
             given = getattr(self, name)
             put(self, name, (given,) if isinstance(given, str) else tuple(given))
@@ -92,7 +90,7 @@ class Experiment:
         InputError
             The file cannot be read, or holds something that is not known; the text names the place.
         """
-        from featreg.study.schema import read_experiment
+        from featreg.study.experiment_file import read_experiment
 
         return cls(**read_experiment(Path(path)))
 
@@ -104,7 +102,7 @@ class Experiment:
         InputError
             The file cannot be written, or the experiment holds arrays or objects, which no such file can hold.
         """
-        from featreg.study.schema import write_experiment
+        from featreg.study.experiment_file import write_experiment
 
         write_experiment(self.to_dict(), Path(path))
 
@@ -125,12 +123,11 @@ class Experiment:
 
     def check(self) -> None:
         """Build every method and read every truth, so that a mistake shows before anything is computed."""
-        from featreg.pipeline.assembly import assemble
+        from featreg.matching import check_keywords
 
         for label, method in self.labelled().items():
-            kept = {key: value for key, value in method.keywords.items() if key not in NOT_OF_PIPELINE}
             try:
-                assemble(**kept)
+                check_keywords(method.keywords)
             except FeatregError as error:
                 raise type(error)(f"method '{label}': {error}" if label not in str(error) else str(error)) from error
         self.resolved()
@@ -154,7 +151,7 @@ class Experiment:
 
     @cached_property
     def _resolved(self) -> list[Pair]:
-        from featreg.study.pairs import resolve
+        from featreg.study.image_pairs import resolve
 
         return resolve(self.pairs)
 

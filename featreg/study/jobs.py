@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from featreg.errors import CancelledError
+from featreg.matching import keypoints_of
+from featreg.pipeline.keywords import of_keypoints
 from featreg.results.registration import Registration
 from featreg.runtime.threads import single_threaded
 from featreg.study.truth import Truth
 from featreg.types import FloatArray, Image
 
-#: Keywords of `match` that change neither the keypoints of an image nor how it is read.
-AFTER_DETECTION = ("seed", "model", "refine", "filters", "initial", "search_radius", "reference_mask", "secondary_mask")
 ROLES = ("reference", "secondary")
 
 
@@ -105,26 +105,12 @@ def outcome(call: Callable[[], Registration | str]) -> Registration | str:
 
 
 def detection(keywords: Mapping[str, Any], role: str) -> dict[str, Any]:
-    """The keywords that decide the keypoints of one image."""
-    kept = {key: value for key, value in keywords.items() if key not in AFTER_DETECTION}
+    """The keywords that decide the keypoints of one image, its mask under the name "mask"."""
     mask = keywords.get(f"{role}_mask")
-    return kept if mask is None else {**kept, "mask": mask}
+    return of_keypoints(keywords) | ({} if mask is None else {"mask": mask})
 
 
 def find_keypoints(image: Any, keywords: Mapping[str, Any]) -> FloatArray | None:
-    """(N, 2) keypoints of an image, at most the budget; None where the method has no detector.
-
-    `keywords` are those of `detection`.
-    """
-    from featreg.io import as_image
-    from featreg.pipeline.assembly import assemble
-    from featreg.pipeline.feature_matcher import FeatureMatcher
-
-    options = dict(keywords)
-    reading = {name: options.pop(name, None) for name in ("mask", "nodata", "scale")}
-    matcher = assemble(**options).matcher
-    if not isinstance(matcher, FeatureMatcher):
-        return None
+    """(N, 2) keypoints of an image by keywords of `detection`; None where the method has no detector."""
     with single_threaded():
-        found = matcher.detector.detect_features(as_image(image, **reading))
-    return found.best(matcher.n_features).xy
+        return keypoints_of(image, **keywords)

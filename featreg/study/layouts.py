@@ -19,9 +19,10 @@ LAYOUTS: Mapping[str, Mapping[str, str]] = {
     },
 }  # fmt: skip
 #: Metrics that a layout needs.
-NEEDS = {name: tuple(_needed) for name, _needed in {
-    "table2": ("ncm", "rmse", "time_s"), "table3": ("blocks", "nm", "ncm", "precision", "rmse", "time_s"),
-}.items()}  # fmt: skip
+NEEDS: Mapping[str, tuple[str, ...]] = {
+    name: tuple("time_s" if column == "act" else column for column in columns if column not in ("pair", "method"))
+    for name, columns in LAYOUTS.items()
+}
 
 
 def columns_of(

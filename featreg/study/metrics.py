@@ -14,24 +14,23 @@ from typing import Any
 import numpy as np
 
 from featreg.errors import ParameterError, UnknownNameError, suggest
+from featreg.geometry.cells import spread
 from featreg.interfaces import FailedFit
 from featreg.results.json_file import plain
 from featreg.results.registration import Registration
 from featreg.study.evaluation import (
+    CURVE,
     Scores,
     area_under_curve,
+    computing_time,
     evaluate,
     match_errors,
     matching_accuracy_curve,
     repeatable,
-    spread,
     stage_mask,
 )
 from featreg.study.truth import Truth
 from featreg.types import FloatArray
-
-#: Thresholds of the mean matching accuracy curve, px.
-CURVE = tuple(range(1, 11))
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +187,7 @@ def _blocks(case: Case) -> float:
 
 
 def _act(case: Case) -> float | None:
-    return None if case.act is None else float(case.act["total"] if "total" in case.act else sum(case.act.values()))
+    return None if case.act is None else computing_time(case.act)
 
 
 def _recall(case: Case) -> float | None:
@@ -247,64 +246,25 @@ _LIST = (
     Metric("precision", "NCM / NM", _score("precision"), "higher", 0.0, bounds=SHARE),
     Metric("rmse", "px, over the correct matches", _score("rmse"), "lower"),
     Metric("grid_rmse", "px, model against truth on 9 x 9 points", _score("grid_rmse"), "lower"),
-    Metric(
-        "inliers",
-        "final tie points",
-        lambda case: int(case.registration.inliers.sum()),
-        "higher",
-        0,
-        needs_truth=False,
-        count=True,
-    ),
-    Metric(
-        "rotation_deg",
-        "degrees, of the model, counter-clockwise",
-        _rotation,
-        needs_truth=False,
-        bounds=(-float("inf"), float("inf")),
-    ),
+    Metric("inliers", "final tie points", lambda case: int(case.registration.inliers.sum()), "higher", 0,
+           needs_truth=False, count=True),
+    Metric("rotation_deg", "degrees, of the model, counter-clockwise", _rotation, needs_truth=False,
+           bounds=(-float("inf"), float("inf"))),
     Metric("time_s", "s, sum of the stages", _act, "lower", needs_truth=False),
     Metric("blocks", "blocks of the images that were matched", _blocks, needs_truth=False, count=True),
-    Metric(
-        "spread",
-        "share of an 8 x 8 grid's cells that hold a final tie point",
-        _spread,
-        "higher",
-        0.0,
-        needs_truth=False,
-        bounds=SHARE,
-    ),
+    Metric("spread", "share of an 8 x 8 grid's cells that hold a final tie point", _spread, "higher", 0.0,
+           needs_truth=False, bounds=SHARE),
     Metric("mma", "share of matches within t px, mean over t = 1 to 10", _accuracy(CURVE), "higher", 0.0, bounds=SHARE),
-    Metric(
-        "repeatability",
-        "keypoints found in both images / the fewer of the two in the common area",
-        _repeatability,
-        "higher",
-        needs_keypoints=True,
-        bounds=SHARE,
-    ),
-    Metric(
-        "recall", "NCM / keypoints found in both images", _recall, "higher", 0.0, needs_keypoints=True, bounds=SHARE
-    ),
-    Metric(
-        "matching_score",
-        "NCM / the fewer keypoints of the two images in the common area",
-        _matching_score,
-        "higher",
-        0.0,
-        needs_keypoints=True,
-        bounds=SHARE,
-    ),
+    Metric("repeatability", "keypoints found in both images / the fewer of the two in the common area",
+           _repeatability, "higher", needs_keypoints=True, bounds=SHARE),
+    Metric("recall", "NCM / keypoints found in both images", _recall, "higher", 0.0, needs_keypoints=True,
+           bounds=SHARE),
+    Metric("matching_score", "NCM / the fewer keypoints of the two images in the common area", _matching_score,
+           "higher", 0.0, needs_keypoints=True, bounds=SHARE),
     Metric("failed", "1 where the method raised, hung or died", lambda case: 0, "lower", 1, False, bounds=SHARE),
-    Metric(
-        "refused",
-        "1 where the result says it is not to be trusted",
-        lambda case: int(case.registration.status != "ok"),
-        if_failed=0,
-        needs_truth=False,
-        bounds=SHARE,
-    ),
-)
+    Metric("refused", "1 where the result says it is not to be trusted",
+           lambda case: int(case.registration.status != "ok"), if_failed=0, needs_truth=False, bounds=SHARE),
+)  # fmt: skip
 METRICS: Mapping[str, Metric] = {metric.name: metric for metric in _LIST}
 #: Metrics of a number of pixels.
 FAMILIES: Mapping[str, Callable[[float], Metric]] = {

@@ -17,7 +17,8 @@ import numpy as np
 
 from featreg._version import __version__
 from featreg.errors import FeatregError, InputError
-from featreg.interfaces import Model
+from featreg.interfaces import Model, Plugin
+from featreg.pipeline.keywords import deciding, of_pipeline
 from featreg.registry import KINDS, entries
 from featreg.results.json_file import write_registration
 from featreg.results.registration import Registration
@@ -26,10 +27,6 @@ from featreg.types import FloatArray
 
 #: Rooms that only look at results: a new metric matches nothing again.
 AFTERWARDS = ("cli", "exports", "marking", "pictures", "report", "study")
-#: Keywords of a job that are not those of its pipeline.
-NOT_OF_PIPELINE = (
-    "seed", "initial", "search_radius", "reference_mask", "secondary_mask", "nodata", "scale", "mask", "only",
-)  # fmt: skip
 
 
 class PredictionCache:
@@ -43,17 +40,19 @@ class PredictionCache:
         self.folder = folder
         self.images: dict[str, bytes] = {}
 
-    def key(self, name: str, images: tuple[Any, ...], keywords: Mapping[str, Any]) -> str | None:
+    def key(self, name: str, images: tuple[Any, ...], keywords: Mapping[str, Any], also: Any = None) -> str | None:
         """The digest, or None where something has no certain one: such a result is not kept.
 
-        `name` stands for the images, whose digest is taken once.
+        `name` stands for the images, whose digest is taken once; of the `keywords` of `featreg.match` those count that
+        can change a result; `also` is what else it depends on.
         """
         if self.folder is None:
             return None
         try:
             if name not in self.images:
                 self.images[name] = _digest(list(images))
-            return _digest([f"featreg {__version__}", _code(keywords), self.images[name], keywords]).hex()
+            decides = deciding(keywords)
+            return _digest([f"featreg {__version__}", _code(decides), self.images[name], decides, also]).hex()
         except (TypeError, ValueError, AttributeError, OSError, RecursionError):
             return None
 
@@ -111,16 +110,19 @@ def _code(keywords: Mapping[str, Any]) -> list[bytes]:
 def _modules(keywords: Mapping[str, Any]) -> set[str]:
     """The modules of the plugins of a method; those of all plugins where the method cannot be built."""
     from featreg.pipeline.assembly import assemble
-    from featreg.pipeline.feature_matcher import FeatureMatcher
 
     try:
-        pipeline = assemble(**{key: value for key, value in keywords.items() if key not in NOT_OF_PIPELINE})
+        pipeline = assemble(**of_pipeline(keywords), blocks=None)
     except (FeatregError, TypeError):
         return {found.module for kind in KINDS for found in entries(kind)}
-    parts: list[Any] = [pipeline.matcher, *(keeper for _, keeper in pipeline.filters)]
-    if isinstance(pipeline.matcher, FeatureMatcher):
-        parts += [pipeline.matcher.detector, pipeline.matcher.descriptor, pipeline.matcher.nearest]
-    return {type(part).__module__ for part in parts if part is not None} | {pipeline.model.__module__}
+    plugins = [pipeline.matcher, *(keeper for _, keeper in pipeline.filters)]
+    return {module for plugin in plugins if plugin is not None for module in _of(plugin)} | {pipeline.model.__module__}
+
+
+def _of(plugin: Plugin) -> set[str]:
+    """The modules of a plugin, of what its class rests on, and of its parts."""
+    own = {cls.__module__ for cls in type(plugin).__mro__ if cls.__module__ not in ("builtins", "abc")}
+    return own.union(*(_of(part) for part in plugin.parts))
 
 
 @lru_cache(maxsize=1)
@@ -133,9 +135,15 @@ def _core() -> bytes:
 
 @lru_cache
 def _file(module: str) -> bytes:
-    """Digest of the source of a loaded module; of its name where it has no file."""
+    """Digest of the source of a loaded module, with the whole package of one that is not ours; of its name without."""
+    digest = hashlib.sha256(module.encode())
     source = getattr(sys.modules.get(module), "__file__", None)
-    return hashlib.sha256(module.encode() + (Path(source).read_bytes() if source else b"")).digest()
+    top = module.partition(".")[0]
+    folders = [] if top == "featreg" else getattr(sys.modules.get(top), "__path__", [])
+    files = sorted(file for folder in folders for file in Path(folder).rglob("*.py"))
+    for path in files or ([] if source is None else [Path(source)]):
+        digest.update(path.read_bytes())
+    return digest.digest()
 
 
 def _digest(value: Any) -> bytes:

@@ -4,19 +4,43 @@ from __future__ import annotations
 
 import os
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
 from featreg._version import __version__
-from featreg.errors import ParameterError
+from featreg.errors import ParameterError, suggest
 from featreg.results.registration import Registration
 from featreg.study.evaluation import default_stage
 from featreg.study.jobs import Job, Method, Outcome, Pair
 from featreg.study.metrics import STANDARD, metric_of
+
+
+def _number(value: Any, low: float | None = None, high: float = float("inf")) -> bool:
+    number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+    return number and (low is None or low < value < high)
+
+
+_NAME = (lambda value: isinstance(value, str), "a name")
+_SWITCH = (lambda value: isinstance(value, bool), "true or false")
+#: Field of a protocol -> whether a value is possible, and what is; those that are None by default may be None.
+VALUES: Mapping[str, tuple[Callable[[Any], bool], str]] = {
+    "threshold": (lambda value: _number(value, 0), "a number of pixels > 0"),
+    "stage": _NAME,
+    "n_features": (lambda value: _number(value, 0) and isinstance(value, int | np.integer), "a whole number >= 1"),
+    "filters": (lambda value: all(isinstance(name, str) for name in value), "a list of names"),
+    "model": _NAME,
+    "refine": _SWITCH,
+    "scale": _NAME,
+    "nodata": (_number, "a number"),
+    "time_limit": (lambda value: _number(value, 0), "a number of seconds > 0"),
+    "timing": _SWITCH,
+    "warm_up": _SWITCH,
+    "confidence": (lambda value: _number(value, 0, 1), "a number between 0 and 1"),
+}
 
 
 @dataclass(frozen=True)
@@ -52,26 +76,31 @@ class Protocol:
     confidence: float = 0.95
 
     def __post_init__(self) -> None:
-        _positive(self.threshold, "threshold", "pixels")
-        _positive(self.time_limit, "time_limit", "seconds")
-        if self.n_features is not None and not (_is_whole(self.n_features) and self.n_features > 0):
-            raise ParameterError(f"n_features must be a whole number >= 1, got {self.n_features!r}")
         if self.filters is not None:
             names = (self.filters,) if isinstance(self.filters, str) else tuple(self.filters)
-            if not all(isinstance(name, str) for name in names):
-                raise ParameterError(f"filters must be a list of names, got {self.filters!r}")
             object.__setattr__(self, "filters", names)
-        for name in ("refine", "timing", "warm_up"):
-            value = getattr(self, name)
-            if not isinstance(value, bool) and not (name == "refine" and value is None):
-                raise ParameterError(f"{name} must be true or false, got {value!r}")
-        for name in ("stage", "model", "scale"):
-            if not isinstance(getattr(self, name), str | None):
-                raise ParameterError(f"{name} must be a name, got {getattr(self, name)!r}")
-        if self.nodata is not None and not _is_number(self.nodata):
-            raise ParameterError(f"nodata must be a number, got {self.nodata!r}")
-        if not _is_number(self.confidence) or not 0 < self.confidence < 1:
-            raise ParameterError(f"confidence must be a number between 0 and 1, got {self.confidence!r}")
+        for f in fields(self):
+            value, (possible, words) = getattr(self, f.name), VALUES[f.name]
+            if not (possible(value) if value is not None else f.default is None):
+                raise ParameterError(f"{f.name} must be {words}, got {value!r}")
+
+    @classmethod
+    def from_dict(cls, given: Mapping[str, Any]) -> Self:
+        """Make a protocol of a mapping.
+
+        Raises
+        ------
+        ParameterError
+            An unknown key (the text suggests the nearest) or an impossible value.
+        """
+        known = [f.name for f in fields(cls)]
+        for key in given:
+            if key not in known:
+                raise ParameterError(f"protocol: unknown key '{key}', {suggest(str(key), known)}")
+        try:
+            return cls(**given)
+        except ParameterError as error:
+            raise ParameterError(f"protocol: {error}") from error
 
     def keywords(self) -> dict[str, Any]:
         """The part that decides what is matched, as keywords of `featreg.match`."""
@@ -149,18 +178,3 @@ def _budget(made: Registration, method: Method) -> str:
     said = parameters if isinstance(parameters, Mapping) else {}
     budget = said.get("n_features", made.provenance.get("n_features"))
     return str(method.keywords.get("n_features", "not stated" if budget is None else budget))
-
-
-def _positive(value: Any, name: str, unit: str) -> None:
-    if name == "time_limit" and value is None:
-        return
-    if not _is_number(value) or not 0 < value < float("inf"):
-        raise ParameterError(f"{name} must be a number of {unit} > 0, got {value!r}")
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-
-
-def _is_whole(value: Any) -> bool:
-    return isinstance(value, int | np.integer) and not isinstance(value, bool)

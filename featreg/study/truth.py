@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +19,6 @@ from featreg.types import FloatArray, points, read_only
 
 #: Fewest marked points: an affine needs three, and only a fourth says how well they agree.
 MINIMUM_MARKED = 4
-MARKED_COLUMNS = ("reference_x", "reference_y", "secondary_x", "secondary_y")
 #: Truths that need no file: both images on one grid, and what the images themselves say of where they lie.
 IDENTITY, GEOLOCATION = "identity", "geolocation"
 WORDS = (IDENTITY, GEOLOCATION)
@@ -171,14 +169,14 @@ def _from_geolocation(height: str, images: tuple[Any, Any] | None) -> Truth:
     from featreg.geolocation.heights import ConstantHeight, DemHeights, Heights
     from featreg.geolocation.sensors import sensor_of
     from featreg.geolocation.transfer import Transfer
-    from featreg.io import as_image
+    from featreg.io.raster_source import open_source
 
     if images is None:
         raise InputError(f"truth '{GEOLOCATION}' needs the two images, and they are not known here")
     sensors = []
     for source in images:
-        image = as_image(source)
-        sensors.append(sensor_of(image.geolocation, image.shape, image.name))
+        opened = open_source(source)
+        sensors.append(sensor_of(opened.geolocation, opened.shape, opened.name))
     metres = _number(height) if height else 0.0
     heights: Heights = DemHeights(height) if metres is None else ConstantHeight(metres)
     over = f"ground at {metres:g} m" if metres is not None else Path(height).name
@@ -200,19 +198,16 @@ class _Known:
 def _from_file(path: Path, images: tuple[Any, Any] | None = None) -> Truth:
     """The truth of a file; points that QGIS marked on a map need the images."""
     what = f"truth '{path}'"
-    files = [image if isinstance(image, str | Path) else None for image in images or (None, None)]
-    readers: dict[str, Callable[[Path, str], Truth]] = {
-        ".npy": lambda p, w: _from_array(np.load(p, allow_pickle=False), w),
-        ".json": _from_json,
-        ".txt": _from_text,
-        ".csv": _from_text,
-        ".points": lambda p, w: _from_tie_points(p, w, *files),
-        ".pts": _from_tie_points,
-    }
-    if path.suffix.lower() not in readers:
-        raise InputError(f"{what} must be a {', '.join(readers)} file, or one of the words {', '.join(WORDS)}")
+    files = [image if isinstance(image, str | Path) else None for image in images or ()]
+    suffix = path.suffix.lower()
+    if suffix not in TRUTH_SUFFIXES:
+        raise InputError(f"{what} must be a {', '.join(TRUTH_SUFFIXES)} file, or one of the words {', '.join(WORDS)}")
     try:
-        return readers[path.suffix.lower()](path, what)
+        if suffix == ".npy":
+            return _from_array(np.load(path, allow_pickle=False), what)
+        if suffix == ".json":
+            return _from_json(path, what)
+        return _from_text(path, what) if suffix in (".txt", ".csv") else _from_tie_points(path, what, *files)
     except FeatregError as error:
         if isinstance(error, InputError) and str(path) in str(error):
             raise
@@ -240,26 +235,17 @@ def _from_json(path: Path, what: str) -> Truth:
 
 
 def _from_text(path: Path, what: str) -> Truth:
-    lines = [line.split("#")[0].strip() for line in path.read_text(encoding="utf-8-sig").splitlines()]
-    cells = [re.split(r"\s*[,;]\s*|\s+", line) for line in lines if line]
-    if not cells:
-        raise InputError(f"{what} is empty")
-    header = cells[0] if any(_number(c) is None for c in cells[0]) else None
-    if header is None:
-        return _from_array([[float(c) for c in row] for row in cells], what)
-    missing = [name for name in MARKED_COLUMNS if name not in header]
-    if missing:
-        raise InputError(f"{what}: the header must name {', '.join(MARKED_COLUMNS)}; {', '.join(missing)} not found")
-    columns = [header.index(name) for name in MARKED_COLUMNS]
-    return _from_marked(np.array([[float(row[c]) for c in columns] for row in cells[1:]]).reshape(-1, 4), what)
+    from featreg.exports.columns import numbers
+    from featreg.exports.csv import table_of
+
+    names, rows = table_of(path)
+    return _from_tie_points(path, what) if names else _from_array(numbers(rows), what)
 
 
-def _from_tie_points(
-    path: Path, what: str, reference: str | Path | None = None, secondary: str | Path | None = None
-) -> Truth:
-    from featreg.exports.reading import read_tie_points
+def _from_tie_points(path: Path, what: str, *images: str | Path | None) -> Truth:
+    from featreg.exports.formats import read_tie_points
 
-    matches = read_tie_points(path, reference=reference, secondary=secondary)
+    matches = read_tie_points(path, **dict(zip(("reference", "secondary"), images, strict=False)))
     return _from_marked(np.hstack([matches.reference_xy, matches.secondary_xy]), what)
 
 

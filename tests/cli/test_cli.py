@@ -209,7 +209,11 @@ def test_a_bad_image_is_one_line(run: Run, folder: Path, name: str, tmp_path: Pa
     outputs = ["--json", str(tmp_path / "out.json"), "--plot", str(tmp_path / "out.png")]
     refused(run("match", name, "sec.tif", *outputs), name, word)
     refused(run("match", "ref.tif", name, *outputs), name, word)
-    refused(run("compare", "ref.tif", name, "--methods", "orb", "--resume", str(tmp_path / "kept")), name, word)
+    if name in ("flat.tif", "nan.tif"):  # what only the samples tell costs a row, not the comparison
+        code, out, _ = run("compare", "ref.tif", name, "--methods", "orb", "--no-isolate", "--no-times")
+        assert (code, word in out) == (4, True)
+    else:
+        refused(run("compare", "ref.tif", name, "--methods", "orb", "--resume", str(tmp_path / "kept")), name, word)
     if name not in ("flat.tif", "bands.tif"):  # a mask and several bands may be resampled, if not matched
         refused(run("warp", "result.json", name, "-o", str(tmp_path / "out.tif")), name, word)
     assert list(tmp_path.iterdir()) == []
@@ -247,7 +251,8 @@ MISUSE: dict[str, tuple[list[str], list[str]]] = {
     "fraction": (["match", "ref.tif", "sec.tif", "--set", "gms.grid=2.5"], ["a whole number", "20", "got 2.5"]),
     "bool": (["match", "ref.tif", "sec.tif", "--set", "gms.rotation=maybe"], ["true or false", "'maybe'"]),
     "trust": (["match", "ref.tif", "sec.tif", "--set", "trust.scale=x"], ["a number", "'x'"]),
-    "refine": (["match", "ref.tif", "sec.tif", "--no-refine", "--set", "half=x"], ["a whole number", "'x'"]),
+    "refine": (["match", "ref.tif", "sec.tif", "--set", "half=x"], ["a whole number", "'x'"]),
+    "no refine": (["match", "ref.tif", "sec.tif", "--no-refine", "--set", "half=9"], ["nothing without refinement"]),
     "impossible": (["match", "ref.tif", "sec.tif", "--set", "fsc.threshold=-1"], ["threshold", "-1"]),
     "filter": (["match", "ref.tif", "sec.tif", "--set", "filters=gms,fcs"], ["unknown filter 'fcs'", "'fsc'"]),
     "detector": (["match", "ref.tif", "sec.tif", "--set", "detector=fats"], ["unknown detector 'fats'", "'fast'"]),
@@ -331,16 +336,16 @@ def test_interruption_is_quiet(run: Run, monkeypatch: pytest.MonkeyPatch) -> Non
      ("null", None), ("inf", float("inf")), ("oast-9-16", "oast-9-16"), ('"3"', "3"), ("[1, 2]", [1, 2]), ("", "")],
 )  # fmt: skip
 def test_values_of_settings(text: str, value: Any) -> None:
-    found = parse_settings([f"detector.key={text}"])["detector.key"]
+    found = parse_settings([f"detector.key={text}"], ())["detector.key"]
     assert (found, type(found)) == (value, type(value))
 
 
 def test_filters_are_names_with_commas() -> None:
-    assert parse_settings(["filters=gms, fsc"]) == {"filters": ["gms", "fsc"]}
-    assert parse_settings(["filters="]) == {"filters": []}
-    assert parse_settings(["a=b=c"]) == {"a": "b=c"}
+    assert parse_settings(["filters=gms, fsc"], ()) == {"filters": ["gms", "fsc"]}
+    assert parse_settings(["filters="], ()) == {"filters": []}
+    assert parse_settings(["a=b=c"], ()) == {"a": "b=c"}
     with pytest.raises(ParameterError, match="option of its own"):
-        parse_settings(["n_features=3"])
+        parse_settings(["n_features=3"], ("n_features",))
 
 
 # compare

@@ -215,16 +215,6 @@ def test_harmonics_decide_how_long_a_descriptor_is(sar_texture: Texture) -> None
         describe(picture, points, harmonics=5)
 
 
-@pytest.mark.parametrize("name", ["s-gof", "m-gof"])
-def test_a_known_warp_is_found(pair: SimulatedPair, name: str) -> None:
-    found = featreg.match(pair.reference, pair.secondary, method=name, n_features=1500, refine=False)
-    assert found.status == "ok"
-    assert found.model
-    points = np.array([[x, y] for x in (20.0, 150.0, 280.0) for y in (20.0, 150.0, 280.0)])
-    error = found.model(points) - (points @ pair.truth[:, :2].T + pair.truth[:, 2])
-    assert np.hypot(*error.T).max() < 1.0
-
-
 @pytest.mark.parametrize("detector", ["sar-ofast", "sift", "fast"])
 def test_any_detector_will_do(pair: SimulatedPair, detector: str) -> None:
     found = featreg.match(

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import featreg
 from featreg import registry
 from featreg.errors import ParameterError
 from featreg.io import as_image
@@ -26,7 +25,6 @@ from featreg.sar.gradients.gradient_field import from_base
 from featreg.sar.keypoints.gradient_histograms import dominant_orientation, gloh, normalised
 from featreg.sar.pyramid import pyramid
 from featreg.sar.speckle import log_amplitude
-from featreg.simulate import SimulatedPair
 from featreg.types import Features, Image
 
 Texture = Callable[..., NDArray[np.float32]]
@@ -343,16 +341,6 @@ def test_turning_image_and_point_by_a_quarter_keeps_the_descriptor(sar_texture: 
     assert pair[1] is not None
     length = np.linalg.norm(pair[0], axis=1) * np.linalg.norm(pair[1], axis=1)
     assert (np.einsum("ij,ij->i", pair[0], pair[1]) / length).min() > 0.95
-
-
-@pytest.mark.parametrize("name", ["bfsift", "bfsift-paper"])
-def test_a_known_warp_is_found(pair: SimulatedPair, name: str) -> None:
-    found = featreg.match(pair.reference, pair.secondary, method=name, n_features=1500, refine=False)
-    assert found.status == "ok"
-    assert found.model
-    points = np.array([[x, y] for x in (20.0, 150.0, 280.0) for y in (20.0, 150.0, 280.0)])
-    error = found.model(points) - (points @ pair.truth[:, :2].T + pair.truth[:, 2])
-    assert np.hypot(*error.T).max() < 1.0
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import featreg
 from featreg import registry
 from featreg.errors import ParameterError
 from featreg.io import as_image
@@ -25,7 +24,6 @@ from featreg.sar.keypoints.gradient_histograms import (
 )
 from featreg.sar.keypoints.maxima import interpolated, local_maxima, parabola_peak, quadratic_peak
 from featreg.sar.pyramid import to_base
-from featreg.simulate import SimulatedPair
 from featreg.types import Features, Image
 
 Texture = Callable[..., NDArray[np.float32]]
@@ -349,19 +347,6 @@ def test_an_image_twice_as_large_is_described_alike_in_its_first_octave(sar_text
 @pytest.mark.parametrize("scale", [1e-6, 5.0, 40.0, 1e7])
 def test_any_scale_can_be_described(sar_texture: Texture, scale: float) -> None:
     assert np.isfinite(describe(as_image(sar_texture()), at([[100, 100]], scale=scale))).all()
-
-
-# The whole method
-
-
-@pytest.mark.parametrize("name", ["sar-sift", "sar-sift-paper"])
-def test_a_known_warp_is_found(pair: SimulatedPair, name: str) -> None:
-    found = featreg.match(pair.reference, pair.secondary, method=name, n_features=1500, refine=False)
-    assert found.status == "ok"
-    points = np.array([[x, y] for x in (20.0, 150.0, 280.0) for y in (20.0, 150.0, 280.0)])
-    assert found.model
-    error = found.model(points) - (points @ pair.truth[:, :2].T + pair.truth[:, 2])
-    assert np.hypot(*error.T).max() < 1.0
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 import featreg
 from featreg.errors import CancelledError, FeatregError, InputError, ParameterError, UnknownNameError
-from featreg.focusing import METHODS
+from featreg.focusing import METHODS, autofocus, complex_image
 from featreg.focusing.azimuth_filter import image_entropy
 from featreg.focusing.legendre_phase import legendre_basis
 from featreg.focusing.phase_error import Band
@@ -405,6 +405,22 @@ def test_neighbours_share_a_group_and_halves_share_none() -> None:
     assert first.cells + second.cells == cells.cells == 40
     np.testing.assert_array_equal(first.spectra[1], cells.spectra[2])
     assert cells.thinned(10 * SIDE).cells == 10
+
+
+@pytest.mark.parametrize("wide", [False, True])
+def test_automatic_reports_the_cells_that_it_used_however_many_the_other_set_has(
+    monkeypatch: pytest.MonkeyPatch, wide: bool
+) -> None:
+    strongest, spread = np.arange(60, 80), np.arange(0, 200, 10)
+    monkeypatch.setattr(complex_image, "_automatic_cells", lambda *given: spread if given[-1] else strongest)
+
+    def automatic(choose: Any, band_of: Any, **how: Any) -> Any:
+        used = choose(wide)
+        found = autofocus.estimate("mea", used, band_of(used), max_iterations=2)
+        return found, used, autofocus.NO_CHECK
+
+    monkeypatch.setattr(autofocus, "automatic", automatic)
+    np.testing.assert_array_equal(featreg.focus(low_contrast()).cells, spread if wide else strongest)
 
 
 @pytest.mark.realdata

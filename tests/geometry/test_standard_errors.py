@@ -53,7 +53,7 @@ def registered(
     covariance = sigma[:, None, None] ** 2 * np.eye(2) if uneven else None
     mad = registry.create("filter", "mad", threshold=threshold, start=start)
     pipeline = Pipeline(None, (("mad", mad),), Rigid, robust=robust, parameters={"robust": robust})
-    found = pipeline.finish(Matches(here, there, np.ones(good + bad), covariance), (SIZE, SIZE), (SIZE, SIZE))
+    found = pipeline.fit(Matches(here, there, np.ones(good + bad), covariance), (SIZE, SIZE), (SIZE, SIZE))
     size = {"width": SIZE, "height": SIZE}
     return replace(found, provenance={**found.provenance, "inputs": {"reference": size, "secondary": size}})
 

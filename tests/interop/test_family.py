@@ -96,8 +96,6 @@ def test_every_row_is_a_plugin_with_its_own_parameters() -> None:
     found = registry.entry("detector", "toy-power")
     assert found.parameters == {"n_features": 5000, "margin": 4, "exponent": 2.0, "sign": "plus", "weights": None}
     assert (found.summary, found.module) == ("Pixels by a power.", __name__)
-    assert found.declared["margin"] == MARGIN
-    assert found.declared["margin"].meaning == "pixels of the border that are left out"
     made = registry.create("detector", "toy-power", margin=np.int64(9), weights=Path("w.pth"), exponent=3)
     values = {name: getattr(made, name) for name in found.parameters}
     assert values == {"n_features": 5000, "margin": 9, "exponent": 3.0, "sign": "plus", "weights": "w.pth"}

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from featreg.errors import InputError, ParameterError
-from featreg.exports.reading import read_tie_points
+from featreg.exports.formats import read_tie_points
 from featreg.geometry import Affine, Translation
 from featreg.marking.points import MarkedPoints, left_out_errors
 from featreg.marking.tiles import TiledScene

@@ -15,7 +15,7 @@ from urllib.request import Request, urlopen
 import numpy as np
 import pytest
 
-from featreg.exports.reading import read_tie_points
+from featreg.exports.formats import read_tie_points
 
 RUN = "from featreg.cli.main import main; raise SystemExit(main())"
 SHIFT = np.array([6.0, -4.0])

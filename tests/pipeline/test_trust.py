@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 import featreg
 from featreg.geometry import Affine, Homography, Rigid, Translation
 from featreg.interfaces import FailedFit, Model
-from featreg.pipeline.trust import Limits, assess, distinct, distortion, spread
+from featreg.pipeline.trust import Limits, assess, distinct, distortion
 from featreg.simulate import SimulatedPair, sar_pair
 from featreg.types import BoolArray, FloatArray, Gate, Matches
 
@@ -141,14 +141,6 @@ def test_a_mirror_image_is_unreliable_and_says_so() -> None:
     assert status == "unreliable"
     assert "mirror" in reason
     assert [name for name, g in gates.items() if not g.passed] == ["determinant"]
-
-
-def test_spread_counts_the_cells_that_are_hit() -> None:
-    centres = (np.stack(np.meshgrid(np.arange(8), np.arange(8)), -1).reshape(-1, 2) + 0.5) / 8 * (SHAPE[1], SHAPE[0])
-    assert spread(centres, SHAPE) == 1.0
-    assert spread(centres[:16], SHAPE) == 0.25
-    assert spread(np.zeros((0, 2)), SHAPE) == 0.0
-    assert spread(np.array([[-50.0, 5], [1e6, 5]]), SHAPE) == 0.0
 
 
 def test_no_inliers_are_unreliable() -> None:

@@ -355,7 +355,7 @@ def test_no_overlap_says_where_the_images_lie(located_pair: Any, tmp_path: Path)
         ({"block": 200, "workers": 0}, "workers must be"),
         ({"block": 200, "executor": "cluster"}, "executor must be"),
         ({"block": 200, "dem": "a.tif", "height": 3.0}, "not from both"),
-        ({"block": False, "resume": "folder"}, "is for blocks"),
+        ({"block": False, "height": 20.0}, "is for blocks"),
         ({"block": False, "model": "rpc-bias"}, "is for blocks"),
     ],
 )

@@ -209,7 +209,7 @@ def test_the_command_refuses_what_cannot_be(
 ) -> None:
     from featreg.cli.main import main
 
-    monkeypatch.setattr("featreg.cli.scene.PATIENCE", 1)
+    monkeypatch.setattr("featreg.runtime.cluster.PATIENCE", 1)
     given = [option.format(reference=located_pair.reference) for option in options]
     code = main(["match", str(located_pair.reference), str(located_pair.secondary), *given])
     said = capsys.readouterr()

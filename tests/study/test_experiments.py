@@ -22,12 +22,12 @@ from featreg import Experiment
 from featreg.cli.main import main
 from featreg.errors import FeatregError, InputError, ParameterError, UnknownNameError
 from featreg.io import as_image, write_geotiff
-from featreg.report.study_page import report_of
+from featreg.report.from_study import report_of
 from featreg.simulate import sar_pair
 from featreg.study import prediction_cache
-from featreg.study.pairs import pairs_in
+from featreg.study.experiment_results import Study
+from featreg.study.image_pairs import pairs_in
 from featreg.study.protocol import Protocol
-from featreg.study.study import Study
 from featreg.types import Geolocation
 
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
@@ -331,7 +331,7 @@ def test_truth_from_the_images_own_geolocation(tmp_path: Path) -> None:
     for name, image, (x, y) in (("a", pair.reference, (0, 0)), ("b", pair.secondary, (-4, 6))):
         place = Geolocation((10.0, 0.0, 5e5 + 10 * x, 0.0, -10.0, 6e6 - 10 * y), "EPSG:32632")
         write_geotiff(tmp_path / f"{name}.tif", image, place)
-    truth = featreg.study.pairs.resolve([(tmp_path / "a.tif", tmp_path / "b.tif", "geolocation")])[0].truth
+    truth = featreg.study.image_pairs.resolve([(tmp_path / "a.tif", tmp_path / "b.tif", "geolocation")])[0].truth
     assert truth is not None
     np.testing.assert_allclose(truth([[10, 20], [100, 90]]), [[14, 14], [104, 84]], atol=1e-3)
     (row,) = featreg.compare([(tmp_path / "a.tif", tmp_path / "b.tif", "geolocation")], ["orb"], timing=False).rows
@@ -339,7 +339,7 @@ def test_truth_from_the_images_own_geolocation(tmp_path: Path) -> None:
     write_geotiff(tmp_path / "c.tif", pair.secondary)
     with pytest.raises(InputError, match=r"pair 1: .*c\.tif.*nothing says where the image lies"):
         featreg.compare([(tmp_path / "a.tif", tmp_path / "c.tif", "geolocation")], ["orb"])
-    same = featreg.study.pairs.resolve([(tmp_path / "a.tif", tmp_path / "c.tif", "identity")])[0].truth
+    same = featreg.study.image_pairs.resolve([(tmp_path / "a.tif", tmp_path / "c.tif", "identity")])[0].truth
     assert same is not None
     assert str(same) == "identity"
 

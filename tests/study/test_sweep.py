@@ -16,7 +16,7 @@ from featreg.cli.main import main
 from featreg.cli.sweep import parse_grid
 from featreg.errors import ParameterError
 from featreg.io import write_geotiff
-from featreg.report.study_page import report_of
+from featreg.report.from_study import report_of
 from featreg.simulate import sar_pair
 from featreg.study.protocol import Protocol
 from featreg.study.table import Table

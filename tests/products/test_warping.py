@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +13,13 @@ from numpy.typing import NDArray
 
 import featreg
 from featreg.errors import CancelledError, InputError, ParameterError
-from featreg.geometry import Affine, Homography
+from featreg.geometry import Affine
 from featreg.interfaces import FailedFit
 from featreg.io import as_image, write_geotiff
-from featreg.io.writers import replacing
-from featreg.products.coherence import coherence, expected_coherence
+from featreg.products.coherence import coherence
 from featreg.products.files import WINDOW
-from featreg.products.lattice import OtherGrids, lattice_of, resized
-from featreg.products.phase_ramp import PhaseRamp, estimate_phase_ramp
+from featreg.products.lattice import OtherGrids, resized
+from featreg.products.phase_ramp import PhaseRamp
 from featreg.products.resample import resample
 from featreg.products.warping import Product, warp_file
 from featreg.results.registration import Registration
@@ -27,7 +27,6 @@ from featreg.types import Geolocation, Matches
 
 rasterio = pytest.importorskip("rasterio")
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
-
 PLACE = Geolocation((10.0, 0.0, 5e5, 0.0, -10.0, 6e6), "EPSG:32632")
 MOVE = Affine(np.array([[0.99, 0.03, 4.3], [-0.03, 1.01, 7.6]]))
 SHAPE = (300, 340)
@@ -39,16 +38,6 @@ def texture(height: int, width: int, *, seed: int = 0) -> NDArray[np.float32]:
     noise = np.random.default_rng(seed).normal(size=(height, width)).astype(np.float32)
     smooth = cv2.GaussianBlur(noise, (0, 0), 2.0)
     return np.asarray(100.0 + 300.0 * np.abs(smooth), np.float32)
-
-
-def band_limited(side: int, seed: int, width: float = 0.3) -> NDArray[np.complex64]:
-    """Circular complex noise whose spectrum ends at `width` cycles per sample."""
-    rng = np.random.default_rng(seed)
-    spectrum = np.fft.fft2(rng.normal(size=(side, side)) + 1j * rng.normal(size=(side, side)))
-    f = np.abs(np.fft.fftfreq(side))
-    spectrum[f > width] = 0
-    spectrum[:, f > width] = 0
-    return np.fft.ifft2(spectrum).astype(np.complex64)
 
 
 def registration(
@@ -85,8 +74,6 @@ def read(path: Path) -> tuple[NDArray[Any], Any]:
 
 
 # grid and values
-
-
 @pytest.mark.parametrize("resampling", ["nearest", "bilinear", "cubic", "lanczos"])
 def test_the_file_holds_what_warp_returns(tmp_path: Path, resampling: str) -> None:
     shape = (WINDOW + 70, 200)
@@ -249,30 +236,6 @@ def test_beyond_the_width_that_opencv_takes(tmp_path: Path) -> None:
     np.testing.assert_array_equal(written[:-2, :-5], wide[2:, 5:])
 
 
-# other pixel sizes
-
-
-def test_positions_between_nodes_are_those_of_the_model() -> None:
-    model = Homography(np.array([[1.01, 0.02, 5], [-0.03, 0.98, 8], [2e-6, -1e-6, 1]]))
-    lattice = lattice_of(model, 4000, 7000, (300, 500))
-    assert lattice.step > 1
-    x, y = lattice.positions()
-    rows, cols = np.mgrid[7000:7300, 4000:4500]
-    exact = model(np.column_stack([cols.ravel(), rows.ravel()]).astype(float))
-    assert np.abs(x.ravel() - exact[:, 0]).max() < 1e-4
-    assert np.abs(y.ravel() - exact[:, 1]).max() < 1e-4
-    bent = Homography(np.array([[1.0, 0, 0], [0, 1, 0], [1e-3, 0, 1]]))
-    assert lattice_of(bent, 0, 0, (100, 100)).step == 1
-    assert lattice_of(lambda xy: xy, 0, 0, (100, 100)).step == 1
-
-
-def test_the_half_pixel_of_other_grids() -> None:
-    model = Affine(np.array([[1.0, 0, 10], [0, 1, 20]]))
-    double = OtherGrids(model, resized((1, 1)), resized((2, 2)))
-    assert double(np.array([[0.0, 0.0]])).tolist() == [[20.5, 40.5]]
-    np.testing.assert_allclose(double.inverse(double(np.array([[3.0, 4.0]]))), [[3, 4]])
-
-
 @pytest.mark.parametrize("factor", [2, 3])
 def test_one_fit_serves_a_file_with_smaller_pixels(tmp_path: Path, factor: int, caplog: Any) -> None:
     files(tmp_path, texture(*SHAPE))
@@ -324,9 +287,7 @@ def test_a_reference_with_other_pixels_is_a_grid_too(tmp_path: Path) -> None:
 
 
 # complex samples
-
-
-def test_a_complex_file_keeps_its_phase(tmp_path: Path) -> None:
+def test_a_complex_file_keeps_its_phase(tmp_path: Path, band_limited: Callable[..., NDArray[np.complex64]]) -> None:
     samples = band_limited(200, 0)
     quantised = (samples / np.abs(samples).max() * 3000).round().astype(np.complex64)
     write_geotiff(tmp_path / "ref.tif", quantised)
@@ -340,13 +301,9 @@ def test_a_complex_file_keeps_its_phase(tmp_path: Path) -> None:
     np.testing.assert_array_equal(as_image(tmp_path / "out.tif").mask, wanted.mask)
 
 
-def chirp(side: int) -> NDArray[np.float64]:
-    """A TOPS-like phase: eight times the sampling rate is swept from the first row to the last."""
-    y, x = np.mgrid[:side, :side].astype(float) - side / 2
-    return np.asarray(8 * np.pi / side * y**2 + 0.3 * y - 0.2 * x + 2e-4 * x * y)
-
-
-def test_deramping_keeps_the_coherence_of_a_chirp(tmp_path: Path) -> None:
+def test_deramping_keeps_the_coherence_of_a_chirp(
+    tmp_path: Path, band_limited: Callable[..., NDArray[np.complex64]]
+) -> None:
     side, dx, dy = 384, 0.4, 0.5
     f = np.fft.fftfreq(side)
     plain = band_limited(side, 1)
@@ -378,25 +335,6 @@ def test_deramping_keeps_the_coherence_of_a_chirp(tmp_path: Path) -> None:
     assert np.nanmean(values) == pytest.approx(with_it, abs=1e-6)
 
 
-def test_no_ramp_is_found_to_be_none_and_bursts_are_refused() -> None:
-    side = 256
-    plain = band_limited(side, 2)
-
-    def reader(samples: NDArray[Any]) -> Any:
-        return lambda x, y, w, h: (samples[y : y + h, x : x + w], np.ones((h, w), bool))
-
-    none = estimate_phase_ramp(reader(plain), plain.shape, strip=100)
-    y, x = np.mgrid[:side, :side]
-    assert max(np.abs(slope).max() for slope in np.gradient(none.phase(x, y))) < 0.15  # radians per sample
-    burst = (plain * np.exp(1j * 0.155 * (y - 128.0) ** 2 / 2)).astype(np.complex64)
-    with pytest.raises(InputError, match="one burst"):
-        estimate_phase_ramp(reader(np.vstack([burst] * 5)), (5 * side, side))
-    white = np.random.default_rng(0).normal(size=(side, side, 2)).astype(np.float32).view(np.complex64)[..., 0]
-    assert np.isnan(estimate_phase_ramp(reader(white), white.shape).concentration).all()
-    with pytest.raises(InputError, match="at least 64 x 64"):
-        estimate_phase_ramp(reader(plain[:20]), (20, side))
-
-
 @pytest.mark.realdata
 def test_a_round_trip_of_a_real_tops_burst(realdata: Path, tmp_path: Path) -> None:
     source = realdata / "slc" / "sentinel1_iw3_vv_slc.tif"
@@ -416,48 +354,7 @@ def test_a_round_trip_of_a_real_tops_burst(realdata: Path, tmp_path: Path) -> No
     assert figures[False] < 0.96
 
 
-# coherence
-
-
-@pytest.mark.parametrize("true", [0.0, 0.4, 0.8])
-@pytest.mark.parametrize("window", [3, 7])
-def test_coherence_and_its_bias(true: float, window: int) -> None:
-    rng = np.random.default_rng(3)
-    a, b = rng.normal(size=(2, 400, 400)) + 1j * rng.normal(size=(2, 400, 400))
-    other = true * a + np.sqrt(1 - true**2) * b
-    inner = slice(10, -10)
-    found = coherence(a, other, window=window)[inner, inner]
-    assert found.mean() == pytest.approx(expected_coherence(true, window**2), abs=0.006)
-    if true >= 0.4 and window == 7:
-        corrected = coherence(a, other, window=window, correct_bias=True)[inner, inner]
-        assert corrected.mean() == pytest.approx(true, abs=0.005)
-    if true == 0.0:
-        looks = window**2
-        assert expected_coherence(0.0, looks) == pytest.approx(np.sqrt(np.pi / (4 * looks)), rel=0.03)
-
-
-def test_coherence_of_equal_shifted_and_empty_images() -> None:
-    a = band_limited(200, 4, 0.45)
-    np.testing.assert_allclose(coherence(a, 3 * a * np.exp(1j))[2:-2, 2:-2], 1, atol=1e-6)
-    assert np.nanmean(coherence(a, np.roll(a, 3, axis=1), window=9)) < 0.2
-    holes = a.copy()
-    holes[50:80, 60:90] = np.nan
-    holes[100:120, 100:120] = 0
-    found = coherence(a, holes)
-    assert np.isnan(found[54:76, 64:86]).all()
-    assert np.isnan(found[104:116, 104:116]).all()
-    np.testing.assert_allclose(found[120:, :50][5:-5, 5:-5], 1, atol=1e-6)
-    with pytest.raises(InputError, match="complex"):
-        coherence(np.abs(a), a)
-    with pytest.raises(InputError, match="one shape"):
-        coherence(a[:50], a)
-    with pytest.raises(ParameterError, match="odd"):
-        coherence(a, a, window=4)
-
-
 # what a user gets wrong
-
-
 def test_misuse_leaves_nothing_behind(tmp_path: Path) -> None:
     files(tmp_path, texture(*SHAPE))
     reg, sec, out = registration(tmp_path), tmp_path / "sec.tif", tmp_path / "out.tif"
@@ -490,7 +387,9 @@ def test_misuse_leaves_nothing_behind(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read(sec)[0], before)
 
 
-def test_coherence_needs_a_complex_reference_at_hand(tmp_path: Path) -> None:
+def test_coherence_needs_a_complex_reference_at_hand(
+    tmp_path: Path, band_limited: Callable[..., NDArray[np.complex64]]
+) -> None:
     samples = band_limited(128, 0)
     write_geotiff(tmp_path / "sec.tif", samples)
     reg = registration(tmp_path, size=(128, 128))
@@ -503,7 +402,7 @@ def test_coherence_needs_a_complex_reference_at_hand(tmp_path: Path) -> None:
         warp_file(reg, tmp_path / "sec.tif", tmp_path / "o.tif", coherence=tmp_path / "o.tif")
 
 
-def test_coherence_is_that_of_one_band(tmp_path: Path) -> None:
+def test_coherence_is_that_of_one_band(tmp_path: Path, band_limited: Callable[..., NDArray[np.complex64]]) -> None:
     samples = band_limited(128, 0)
     write(tmp_path / "sec.tif", np.stack([samples, 2 * samples]))
     write_geotiff(tmp_path / "ref.tif", samples)
@@ -541,21 +440,3 @@ def test_progress_and_cancel(tmp_path: Path) -> None:
     assert not (tmp_path / "o.tif").exists()
     warp_file(reg, tmp_path / "sec.tif", tmp_path / "o.tif", progress=lambda *n: seen.append(n))
     assert seen == [(1, 3), (1, 3), (2, 3), (3, 3)]
-
-
-def test_a_file_is_replaced_only_when_its_successor_is_whole(tmp_path: Path) -> None:
-    target = tmp_path / "a.txt"
-    target.write_text("old")
-
-    def fail() -> None:
-        with replacing(target) as temporary:
-            temporary.write_text("half")
-            raise ZeroDivisionError
-
-    with pytest.raises(ZeroDivisionError):
-        fail()
-    assert target.read_text() == "old"
-    with replacing(target) as temporary:
-        temporary.write_text("new")
-    assert target.read_text() == "new"
-    assert [p.name for p in tmp_path.iterdir()] == ["a.txt"]

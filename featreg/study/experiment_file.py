@@ -2,42 +2,21 @@
 
 from __future__ import annotations
 
-import json
-import math
 import os
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from featreg.errors import FeatregError, InputError, ParameterError, suggest
+from featreg.errors import FeatregError, InputError, suggest
 from featreg.runtime.files import write_atomic
+from featreg.study.image_pairs import pairs_in, parts
 from featreg.study.metrics import check_metrics
-from featreg.study.pairs import pairs_in, parts
 from featreg.study.protocol import Protocol
 from featreg.study.truth import WORDS
 
 KEYS = ("title", "pairs", "methods", "parameters", "grid", "seeds", "protocol", "metrics")
 SUFFIXES = (".yaml", ".yml", ".toml")
-
-
-def protocol_of(given: Mapping[str, Any], where: str) -> Protocol:
-    """Make a protocol of a mapping.
-
-    Raises
-    ------
-    ParameterError
-        An unknown key (the text suggests the nearest) or an impossible value.
-    """
-    known = [f.name for f in fields(Protocol)]
-    for key in given:
-        if key not in known:
-            raise ParameterError(f"{where}: unknown key '{key}', {suggest(str(key), known)}")
-    try:
-        return Protocol(**given)
-    except FeatregError as error:
-        raise ParameterError(f"{where}: {error}") from error
 
 
 def read_experiment(path: Path) -> dict[str, Any]:
@@ -75,7 +54,9 @@ def write_experiment(data: Mapping[str, Any], path: Path) -> None:
     whole = {key: _plain(value, key) for key, value in data.items()}
     whole["pairs"] = [_moved(pair, lambda p: _relative(p, path.parent)) for pair in whole.get("pairs", [])]
     if path.suffix.lower() == ".toml":
-        text = "".join(_toml_top(key, value) for key, value in sorted(whole.items(), key=_tables_last))
+        import tomli_w
+
+        text = tomli_w.dumps(whole)
     else:
         import yaml
 
@@ -113,7 +94,7 @@ def _arguments(data: Any, folder: Path) -> dict[str, Any]:
         if key in found and not isinstance(found[key], kind):
             raise InputError(f"{key} must be {words}, got {found[key]!r}")
     if "protocol" in found:
-        found["protocol"] = protocol_of(found["protocol"], "protocol")
+        found["protocol"] = Protocol.from_dict(found["protocol"])
     if "metrics" in found:
         found["metrics"] = check_metrics(found["metrics"])
     found["pairs"] = [pair for i, given in enumerate(data["pairs"], start=1) for pair in _pairs(given, i, folder)]
@@ -169,42 +150,3 @@ def _plain(value: Any, where: str) -> Any:
     if hasattr(value, "item") and getattr(value, "ndim", 1) == 0:
         return value.item()
     raise InputError(f"{where} is a {type(value).__name__}: a file holds names, numbers and paths only")
-
-
-def _tables_last(item: tuple[str, Any]) -> bool:
-    """Whether a value is written as tables, after which no plain value may stand."""
-    return isinstance(item[1], Mapping) or _are_tables(item[1])
-
-
-def _are_tables(value: Any) -> bool:
-    return isinstance(value, list) and bool(value) and all(isinstance(v, dict) for v in value)
-
-
-def _toml_top(key: str, value: Any) -> str:
-    if isinstance(value, Mapping):
-        return f"\n[{_toml_key(key)}]\n" + "".join(f"{_toml_key(k)} = {_toml(v)}\n" for k, v in value.items())
-    if _are_tables(value):
-        return "".join(
-            f"\n[[{_toml_key(key)}]]\n" + "".join(f"{_toml_key(k)} = {_toml(v)}\n" for k, v in part.items())
-            for part in value
-        )
-    return f"{_toml_key(key)} = {_toml(value)}\n"
-
-
-def _toml_key(key: str) -> str:
-    return key if key.replace("-", "").replace("_", "").isalnum() and key.isascii() else json.dumps(key)
-
-
-def _toml(value: Any) -> str:
-    """One value of TOML; its strings and JSON's are the same but for one character."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, float):
-        return repr(value) if math.isfinite(value) else str(value)
-    if isinstance(value, int):
-        return str(value)
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{_toml_key(k)} = {_toml(v)}" for k, v in value.items()) + "}"
-    return "[" + ", ".join(_toml(v) for v in value) + "]"

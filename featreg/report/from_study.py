@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from featreg.io import as_image
+from featreg.report.data import Better, ReportColumn, ReportEntry, ReportPair, ReportStudy, ReportSweep, ReportTable
 from featreg.report.page import write_report
-from featreg.report.study import Better, ReportColumn, ReportEntry, ReportPair, ReportStudy, ReportSweep, ReportTable
 from featreg.results.registration import Registration
+from featreg.study.experiment_results import Study
 from featreg.study.intervals import Interval
 from featreg.study.jobs import Job
 from featreg.study.metrics import metric_of
-from featreg.study.study import Study
 from featreg.study.table import Table
 from featreg.types import Image
 

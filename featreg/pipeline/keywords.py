@@ -1,0 +1,94 @@
+"""What `featreg.match` takes, declared once: what each keyword decides, and how the command line spells it.
+
+The command line's options, the checks of an experiment, the digests under which results are kept, the keypoints that
+are looked for again and the suggestions in errors follow from here. Keywords that are not named here are parameters of
+the method's parts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+#: "method": the pipeline; "part": one part of it; "seed"; "image": how an image is read; "search": where tie points are
+#: looked for; "blocks": of scenes only; "run": how the work is run, which never changes a result.
+Decides = Literal["method", "part", "seed", "image", "search", "blocks", "run"]
+
+
+@dataclass(frozen=True)
+class Keyword:
+    """One keyword of `featreg.match`.
+
+    Parameters
+    ----------
+    name : of the keyword
+    decides : what it decides
+    option : of the command line; "" where it has none of its own, so that ``--set`` takes it
+    keypoints : whether the keypoints of one image depend on it
+    """
+
+    name: str
+    decides: Decides
+    option: str = ""
+    keypoints: bool = False
+
+
+KEYWORDS = (
+    Keyword("method", "method", "--method", keypoints=True),
+    Keyword("model", "method", "--model"),
+    Keyword("refine", "method", "--refine or --no-refine"),
+    Keyword("n_features", "method", "--n-features", keypoints=True),
+    Keyword("detector", "part", keypoints=True),
+    Keyword("descriptor", "part", keypoints=True),
+    Keyword("nearest", "part", keypoints=True),
+    Keyword("matcher", "part", keypoints=True),
+    Keyword("filters", "part"),
+    Keyword("common_rotation", "part"),
+    Keyword("robust", "part"),
+    Keyword("seed", "seed", "--seed"),
+    Keyword("initial", "search", "--initial"),
+    Keyword("search_radius", "search", "--search-radius"),
+    Keyword("reference_mask", "image", "--mask-reference"),
+    Keyword("secondary_mask", "image", "--mask-secondary"),
+    Keyword("nodata", "image", "--nodata", keypoints=True),
+    Keyword("scale", "image", "--scale", keypoints=True),
+    Keyword("focus", "image", "--focus", keypoints=True),
+    Keyword("block", "blocks", "--block or --whole"),
+    Keyword("dem", "blocks", "--dem"),
+    Keyword("height", "blocks", "--height"),
+    Keyword("executor", "run"),
+    Keyword("workers", "run", "--workers"),
+    Keyword("scheduler", "run", "--scheduler"),
+    Keyword("threads", "run"),
+    Keyword("resume", "run", "--resume"),
+    Keyword("progress", "run"),
+    Keyword("cancel", "run"),
+)
+BY_NAME: Mapping[str, Keyword] = {keyword.name: keyword for keyword in KEYWORDS}
+
+
+def names(*decides: Decides) -> list[str]:
+    """The keywords that decide one of these."""
+    return [keyword.name for keyword in KEYWORDS if keyword.decides in decides]
+
+
+def of_pipeline(keywords: Mapping[str, Any]) -> dict[str, Any]:
+    """Those keywords that build the pipeline: the method's, its parts' and their parameters."""
+    return dict(_kept(keywords, "method", "part"))
+
+
+def deciding(keywords: Mapping[str, Any]) -> dict[str, Any]:
+    """Those keywords that can change a result."""
+    return dict(_kept(keywords, "method", "part", "seed", "image", "search", "blocks"))
+
+
+def of_keypoints(keywords: Mapping[str, Any]) -> dict[str, Any]:
+    """Those keywords on which the keypoints of one image depend, masks apart."""
+    return {name: value for name, value in keywords.items() if name not in BY_NAME or BY_NAME[name].keypoints}
+
+
+def _kept(keywords: Mapping[str, Any], *decides: Decides) -> Iterator[tuple[str, Any]]:
+    for name, value in keywords.items():
+        if name not in BY_NAME or BY_NAME[name].decides in decides:
+            yield name, value

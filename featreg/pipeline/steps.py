@@ -1,0 +1,174 @@
+"""The four steps from tie points to a registration, each a pure function: filtered, fitted, refined, judged.
+
+A pair of whole images takes them in turn; a scene takes the first in every block and again over all, the others once
+over all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from featreg.geometry import inverse_variances
+from featreg.geometry.robust import irls
+from featreg.interfaces import FailedFit, Filter, FilterContext, Model
+from featreg.pipeline.refine import Refined
+from featreg.pipeline.trust import Limits, assess
+from featreg.runtime.timing import stage
+from featreg.types import BoolArray, FloatArray, Gate, IntArray, Matches
+
+# Errors below this, in pixels, are not told apart by the robust fit.
+SCALE_PX = 0.3
+# Rounds of the robust fit; the consensus before it is near the answer.
+ROUNDS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Draft:
+    """A registration in the making.
+
+    Parameters
+    ----------
+    matches : every tie point so far
+    stages : name -> (M,) bool, in the order in which they ran
+    supported : (M,) rows of the matcher that every stage kept
+    putative : (M,) rows of the matcher
+    inliers : (M,) rows on which the model was fitted
+    model : the best fit so far
+    """
+
+    matches: Matches
+    stages: Mapping[str, BoolArray]
+    supported: BoolArray
+    putative: BoolArray
+    inliers: BoolArray
+    model: Model | FailedFit
+
+
+def filtered(
+    matches: Matches,
+    filters: Sequence[tuple[str, Filter]],
+    context: FilterContext,
+    before: Mapping[str, BoolArray] | None = None,
+) -> dict[str, BoolArray]:
+    """Return the stages of `before` and those of the filters, name -> (M,) bool.
+
+    Every filter sees what the stage before it kept; its mask covers all matches.
+    """
+    stages = dict(before or {})
+    kept = survivors(stages, len(matches))
+    for name, keeper in filters:
+        with stage(name):
+            rows = np.flatnonzero(kept)
+            kept = np.zeros(len(matches), np.bool_)
+            kept[rows[keeper.keep(matches.take(rows), context)]] = True
+        stages[name] = kept
+    return stages
+
+
+def survivors(stages: Mapping[str, BoolArray], count: int) -> BoolArray:
+    """(M,) tie points of `count` that every stage kept."""
+    kept = np.ones(count, np.bool_)
+    for mask in stages.values():
+        kept = kept & mask
+    return kept
+
+
+def fitted(
+    matches: Matches, stages: Mapping[str, BoolArray], kind: type[Model], n_features: int, *, robust: bool = True
+) -> Draft:
+    """Fit a model to what the stages kept.
+
+    The inliers are the tie points that the fit did not leave out, at most `n_features` distinct ones, best score first.
+    A `robust` fit is iteratively reweighted, from the inverse variances of the tie points where these are known.
+    """
+    with stage("model"):
+        kept = survivors(stages, len(matches))
+        here, there = matches.reference_xy[kept], matches.secondary_xy[kept]
+        model: Model | FailedFit
+        if robust:
+            known = None if matches.covariance is None else inverse_variances(matches.covariance[kept])
+            model, weights = irls(kind, here, there, weights=known, scale_px=SCALE_PX, iterations=ROUNDS)
+        else:
+            model, weights = kind.from_estimate(here, there), np.ones(len(here))
+        inliers = np.zeros(len(matches), np.bool_)
+        if not isinstance(model, FailedFit):
+            rows = np.flatnonzero(kept)[weights > 0]
+            rows = rows[np.argsort(-matches.score[rows], kind="stable")]
+            inliers[rows[_distinct_rows(matches.reference_xy[rows])][:n_features]] = True
+        return Draft(matches, stages, kept, np.ones(len(matches), np.bool_), inliers, model)
+
+
+def refined(draft: Draft, found: Refined | None, least: int = 0) -> Draft:
+    """Append what a refinement found, and take its model; the draft's own stays where it found too little.
+
+    Parameters
+    ----------
+    draft : with the model around which was refined
+    found : None where there was no model to refine
+    least : fewest tie points for a refinement that is worth using
+
+    Notes
+    -----
+    Points never move in place: the new rows are in no stage but "refine".
+    """
+    useful = found is not None and bool(found.model) and len(found.matches) >= least
+    added = np.ones(len(found.matches) if useful and found is not None else 0, np.bool_)
+    before = np.zeros(len(draft.matches), np.bool_)
+    stages = {name: np.concatenate([mask, ~added]) for name, mask in draft.stages.items()}
+    stages["refine"] = np.concatenate([before, added])
+    supported, putative = (np.concatenate([mask, ~added]) for mask in (draft.supported, draft.putative))
+    if not useful or found is None:
+        return replace(draft, stages=stages, supported=supported, putative=putative)
+    return Draft(
+        draft.matches.appended(found.matches),
+        stages,
+        supported,
+        putative,
+        np.concatenate([before, added]),
+        found.model,
+    )
+
+
+def judged(
+    draft: Draft,
+    shapes: Sequence[tuple[int, int]],
+    limits: Limits,
+    *,
+    initial: Model | None = None,
+    search_radius: float | None = None,
+    further: Mapping[str, Gate] | None = None,
+) -> tuple[str, str, Mapping[str, Gate]]:
+    """Return status, reason and gates of a draft.
+
+    Parameters
+    ----------
+    draft : with the final model
+    shapes : (H, W) of the reference, and of the area of the secondary over which a wrong match may lie
+    limits : what must be reached
+    initial, search_radius : a model known beforehand, and how far from it in pixels the result may lie
+    further : gates of the caller, which count as the others do
+    """
+    with stage("trust"):
+        return assess(
+            draft.matches,
+            draft.putative,
+            draft.supported,
+            draft.inliers,
+            draft.model,
+            shapes[0],
+            shapes[1],
+            limits,
+            initial,
+            search_radius,
+            further,
+        )
+
+
+def _distinct_rows(xy: FloatArray) -> IntArray:
+    """Rows of the first of each set of equal points, in order."""
+    order = np.lexsort(xy.T)
+    new = np.concatenate([[True], (np.diff(xy[order], axis=0) != 0).any(axis=1)]) if len(xy) else np.zeros(0, np.bool_)
+    return np.sort(order[new])

@@ -1,0 +1,52 @@
+"""How long work is watched and ended: a caller's `cancel` event and `progress` callback."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Protocol
+
+from featreg.errors import CancelledError
+
+Progress = Callable[[int, int], None]
+
+
+class Canceller(Protocol):
+    """What `cancel` must offer; a `threading.Event` does."""
+
+    def is_set(self) -> bool: ...
+
+
+_cancel: ContextVar[Canceller | None] = ContextVar("featreg_cancel", default=None)
+
+
+@contextmanager
+def cancellable(cancel: Canceller | None) -> Iterator[None]:
+    """Let every `featreg.runtime.timing.stage` entered inside end the work once `cancel` is set."""
+    token = _cancel.set(cancel)
+    try:
+        yield
+    finally:
+        _cancel.reset(token)
+
+
+def check_cancelled() -> None:
+    """Raise a `CancelledError` where the work around was cancelled."""
+    cancel = _cancel.get()
+    if cancel is not None and cancel.is_set():
+        raise CancelledError("the work was cancelled")
+
+
+class Steps:
+    """Counts the steps of a work for a callback that is given (steps done, steps in all)."""
+
+    def __init__(self, total: int, progress: Progress | None = None) -> None:
+        self._done, self._total, self._progress = 0, total, progress
+
+    def advance(self) -> None:
+        """One step is done; raises a `CancelledError` where the work was cancelled."""
+        self._done += 1
+        if self._progress is not None:
+            self._progress(self._done, self._total)
+        check_cancelled()

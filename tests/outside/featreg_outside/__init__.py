@@ -1,0 +1,1 @@
+"""Plugins of a package that is not featreg's, as somebody else would write them."""
