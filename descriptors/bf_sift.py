@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from featreg.errors import ParameterError
 from featreg.interfaces import Descriptor
 from featreg.registry import register
+from featreg.runtime.parameters import Count, Positive
 from featreg.sar.gradients.bilateral import BilateralSpace, bilateral_field
 from featreg.sar.gradients.gradient_field import from_base
-from featreg.sar.keypoints.gradient_histograms import HARMONICS, described, gloh, normalised, row_length
+from featreg.sar.keypoints.gradient_histograms import Harmonics, Step, described, gloh, normalised, row_length
 from featreg.sar.pyramid import pyramid
 from featreg.types import Features, Image
 
@@ -41,32 +40,15 @@ class BfSiftDescriptor(Descriptor):
     gradient; keypoints that lie there themselves are dropped.
     """
 
-    octaves: int = 2
-    intervals: int = 3
-    sigma: float = 1.2
-    tone: float = 5.0
+    octaves: Count = 2
+    intervals: Count = 3
+    sigma: Positive = 1.2
+    tone: Positive = 5.0
     exact: bool = False
-    support: float = 8.0
-    coarser: float = 1.5
-    step: float = 0.125
-    harmonics: int = 2
-
-    def __post_init__(self) -> None:
-        if (
-            self.octaves < 1
-            or self.intervals < 1
-            or not all(0 < value < math.inf for value in (self.sigma, self.tone, self.support))
-        ):
-            raise ParameterError(
-                "bf-sift needs octaves and intervals >= 1, and finite sigma, tone and support > 0, got "
-                f"{self.octaves}, {self.intervals}, {self.sigma}, {self.tone} and {self.support}"
-            )
-        if not 0 < self.coarser < math.inf or not 0.01 <= self.step <= 0.25:
-            raise ParameterError(
-                f"bf-sift needs coarser > 0 and 0.01 <= step <= 0.25, got {self.coarser} and {self.step}"
-            )
-        if not 0 <= self.harmonics <= HARMONICS:
-            raise ParameterError(f"bf-sift needs 0 <= harmonics <= {HARMONICS}, got {self.harmonics}")
+    support: Positive = 8.0
+    coarser: Positive = 1.5
+    step: Step = 0.125
+    harmonics: Harmonics = 2
 
     def reach_of(self, scale: float) -> float:
         """The radius, and twice the standard deviation of the gradients' level at its rim."""

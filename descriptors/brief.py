@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Ge, Gt, Interval, MultipleOf
 from numpy.typing import NDArray
 
-from featreg.errors import ParameterError
 from featreg.interfaces import Descriptor
 from featreg.registry import register
+from featreg.runtime.parameters import Count, Positive
 from featreg.sar.pyramid import REACH, SUPPORT, clear, pyramid
 from featreg.sar.speckle import despeckled_bytes
 from featreg.types import Features, FloatArray, Image
@@ -43,24 +45,13 @@ class Brief(Descriptor):
     the image are dropped.
     """
 
-    bits: int = 256
-    radius: float = SUPPORT
-    spread: float = 9.0
-    sigma: float = 1.0
-    levels: int = 8
-    factor: float = 1.2
+    bits: Annotated[int, Ge(256), MultipleOf(256)] = 256
+    radius: Annotated[float, Interval(ge=5, le=100)] = SUPPORT
+    spread: Annotated[float, Ge(1)] = 9.0
+    sigma: Positive = 1.0
+    levels: Count = 8
+    factor: Annotated[float, Gt(1)] = 1.2
     oriented: bool = True
-
-    def __post_init__(self) -> None:
-        if self.bits < 256 or self.bits % 256:
-            raise ParameterError(f"brief needs bits to be a positive multiple of 256, got {self.bits}")
-        if not (5 <= self.radius <= 100 and self.spread >= 1 and self.sigma > 0):
-            raise ParameterError(
-                "brief needs 5 <= radius <= 100, spread >= 1 and sigma > 0, got "
-                f"{self.radius}, {self.spread} and {self.sigma}"
-            )
-        if not (self.factor > 1 and self.levels >= 1):
-            raise ParameterError(f"brief needs factor > 1 and levels >= 1, got {self.factor} and {self.levels}")
 
     def reach_of(self, scale: float) -> float:
         """What must be free on the level of that scale."""

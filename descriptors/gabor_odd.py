@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Ge, Gt, Interval
 
 from featreg.errors import ParameterError
 from featreg.interfaces import Descriptor
 from featreg.registry import register
+from featreg.runtime.parameters import Count
 from featreg.sar.gradients.gabor import gabor_gradients
 from featreg.sar.gradients.gradient_field import GradientField, from_base, octave
-from featreg.sar.keypoints.gradient_histograms import HARMONICS, described, gloh, normalised, row_length
+from featreg.sar.keypoints.gradient_histograms import Harmonics, Step, described, gloh, normalised, row_length
 from featreg.types import Features, Image
 
 # A scale is computed on the coarsest halving of the image on which its sigma is at least so many pixels.
@@ -50,31 +53,20 @@ class GaborOdd(Descriptor):
     gradient; only keypoints that lie there themselves, or have no gradient around them, are dropped.
     """
 
-    scales: int = 1
-    sigma: float = 2.0
-    factor: float = math.sqrt(2)
-    orientations: int = 3
-    floor: float = 0.01
-    step: float = 0.125
-    harmonics: int = 2
+    scales: Count = 1
+    sigma: Annotated[float, Interval(ge=0.5, le=100)] = 2.0
+    factor: Annotated[float, Gt(1)] = math.sqrt(2)
+    orientations: Annotated[int, Ge(2)] = 3
+    floor: Annotated[float, Ge(0)] = 0.01
+    step: Step = 0.125
+    harmonics: Harmonics = 2
 
     def __post_init__(self) -> None:
-        if self.scales < 1 or self.orientations < 2:
-            raise ParameterError(
-                f"gabor-odd needs scales >= 1 and orientations >= 2, got {self.scales} and {self.orientations}"
-            )
-        if not (0.5 <= self.sigma <= 100 and self.factor > 1 and self.floor >= 0 and 0.01 <= self.step <= 0.25):
-            raise ParameterError(
-                "gabor-odd needs 0.5 <= sigma <= 100, factor > 1, floor >= 0 and 0.01 <= step <= 0.25, got "
-                f"{self.sigma}, {self.factor}, {self.floor} and {self.step}"
-            )
         if math.log(self.sigma) + (self.scales - 1) * math.log(self.factor) > math.log(100) + 1e-9:
             raise ParameterError(
                 "gabor-odd needs a coarsest sigma * factor ** (scales - 1) of at most 100 px, got "
                 f"{self.sigma} * {self.factor} ** {self.scales - 1}"
             )
-        if not 0 <= self.harmonics <= HARMONICS:
-            raise ParameterError(f"gabor-odd needs 0 <= harmonics <= {HARMONICS}, got {self.harmonics}")
 
     def reach_of(self, scale: float) -> float:
         """The radius, and twice the standard deviation of the coarsest filter at its rim."""

@@ -15,14 +15,13 @@ import numpy as np
 from annotated_types import Ge, Gt
 
 from featreg.interfaces import Descriptor
-from featreg.interop.family import WEIGHTS, Parameter, register_table
+from featreg.interop.family import WEIGHTS, option, register_table
 from featreg.interop.kornia import COMMON, KorniaPart, KorniaRow, import_kornia
 from featreg.interop.opencv import inside
 from featreg.interop.torch_arrays import inference, to_tensor
 from featreg.types import Features, Image
 from featreg.types.lafs import to_numpy
 
-P = Parameter
 LEARNED_PATCH = 32
 # Patches cut and described at a time, so that memory stays bounded.
 BATCH = 2048
@@ -53,17 +52,17 @@ def _network(creator: str, file: str) -> KorniaRow:
     )
 
 
-MAGNIFICATION = P(1.0, Gt(0), meaning="how much larger than a feature's support its patch is")
+MAGNIFICATION = option(1.0, Gt(0), meaning="how much larger than a feature's support its patch is")
 TABLE: dict[str, KorniaRow] = {
     "kornia-sift": KorniaRow(
         "SIFTDescriptor",
         "SIFT (RootSIFT) histograms of patches, by kornia",
         {
-            "patch_size": P(41, Ge(1)),
-            "num_ang_bins": P(8, Ge(1)),
-            "num_spatial_bins": P(4, Ge(1)),
-            "rootsift": P(True),
-            "clipval": P(0.2, Gt(0)),
+            "patch_size": option(41, Ge(1)),
+            "num_ang_bins": option(8, Ge(1)),
+            "num_spatial_bins": option(4, Ge(1)),
+            "rootsift": option(True),
+            "clipval": option(0.2, Gt(0)),
             "magnification": MAGNIFICATION,
             **COMMON,
         },
@@ -73,8 +72,8 @@ TABLE: dict[str, KorniaRow] = {
         "MKDDescriptor",
         "MKD: kernel embeddings of gradients, without whitening, by kornia",
         {
-            "patch_size": P(32, Ge(1)),
-            "kernel_type": P("concat", choices=("concat", "polar", "cart")),
+            "patch_size": option(32, Ge(1)),
+            "kernel_type": option("concat", choices=("concat", "polar", "cart")),
             "magnification": MAGNIFICATION,
             **COMMON,
         },

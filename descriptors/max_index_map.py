@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
 
 from featreg.errors import ParameterError
 from featreg.interfaces import Descriptor
 from featreg.registry import register
-from featreg.sar.gradients.log_gabor import LogGabor
-from featreg.sar.gradients.phase_congruency import Congruency
+from featreg.runtime.parameters import Positive, Share
+from featreg.sar.gradients.log_gabor import Bandwidth, LogGabor, MinWavelength, Multiplier, Orientations, Scales
+from featreg.sar.gradients.phase_congruency import Congruency, Noise, View
 from featreg.sar.keypoints.index_map import Cells, cell_list, level_bits, places_of, turned_histograms, turned_triples
 from featreg.types import Features, FloatArray, Image
 
@@ -67,38 +69,27 @@ class MaxIndexMap(Descriptor):
     content; a point with too few cells left is dropped.
     """
 
-    patch: float = 63.0
-    grid: int = 13
+    patch: Annotated[float, Interval(ge=3, le=1000)] = 63.0
+    grid: Annotated[int, Interval(ge=1, le=32)] = 13
     soft: bool = True
-    levels: int = 5
+    levels: Annotated[int, Interval(ge=2, le=16)] = 5
     weighted: bool = True
-    power: float = 0.5
+    power: Annotated[float, Interval(gt=0, le=2)] = 0.5
     centred: bool = True
-    least: float = 0.6
-    reindex: str = "angle"
-    scales: int = 2
-    orientations: int = 4
-    min_wavelength: float = 6.0
-    multiplier: float = 3.0
-    bandwidth: float = 0.35
-    noise: float = 0.0
-    floor: float = 0.1
-    view: str = "soft-log"
+    least: Share = 0.6
+    reindex: Literal["angle", "dominant", "none"] = "angle"
+    scales: Scales = 2
+    orientations: Orientations = 4
+    min_wavelength: MinWavelength = 6.0
+    multiplier: Multiplier = 3.0
+    bandwidth: Bandwidth = 0.35
+    noise: Noise = 0.0
+    floor: Positive = 0.1
+    view: View = "soft-log"
 
     def __post_init__(self) -> None:
-        self._settings()
-        if not (1 <= self.grid <= 32 and 3 * self.grid <= self.patch <= 1000):
-            raise ParameterError(
-                f"max-index-map needs 1 <= grid <= 32 and 3 * grid <= patch <= 1000, got {self.grid} and {self.patch}"
-            )
-        if not (0 < self.power <= 2 and 0 < self.least <= 1):
-            raise ParameterError(
-                f"max-index-map needs 0 < power <= 2 and 0 < least <= 1, got {self.power} and {self.least}"
-            )
-        if not 2 <= self.levels <= 16:
-            raise ParameterError(f"max-index-map needs 2 to 16 levels, got {self.levels}")
-        if self.reindex not in ("angle", "dominant", "none"):
-            raise ParameterError(f"max-index-map needs reindex 'angle', 'dominant' or 'none', got '{self.reindex}'")
+        if self.patch < 3 * self.grid:
+            raise ParameterError(f"max-index-map needs patch >= 3 * grid, got {self.patch} and {self.grid}")
 
     def _settings(self) -> tuple[LogGabor, Congruency]:
         bank = LogGabor(self.scales, self.orientations, self.min_wavelength, self.multiplier, self.bandwidth)

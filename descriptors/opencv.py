@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from featreg.errors import InputError
 from featreg.interfaces import Descriptor
-from featreg.interop.family import Part, register_table
+from featreg.interop.family import Part, option, register_table
 from featreg.interop.opencv import (
     HALF_PIXEL,
     LEVELS,
@@ -30,7 +30,6 @@ from featreg.interop.opencv import (
     clear_errors,
     grey,
     inside,
-    option,
     snake,
     true_to_orb,
 )
@@ -104,19 +103,22 @@ TABLE: dict[str, DescriptorAlgorithm] = {
     "beblid": DescriptorAlgorithm(
         "BEBLID",
         "Boosted bits; scale_factor 1 suits ORB's sizes, 5 AKAZE's and FAST's, 6.25 KAZE's, 6.75 SIFT's",
-        {**snake(scale_factor=1.0), "n_bits": option("n_bits", 512, {512: 100, 256: 101})},
+        {**snake(scale_factor=1.0), "n_bits": option(512, choices={512: 100, 256: 101}, keyword="n_bits")},
     ),
     "boost": DescriptorAlgorithm(
         "BoostDesc",
         "BinBoost bits; scale_factor 0.75 suits ORB's sizes, 5 AKAZE's and FAST's, 6.25 KAZE's, 6.75 SIFT's",
-        {"desc": option("desc", "binboost-256", BOOST), **snake(use_scale_orientation=True, scale_factor=6.25)},
+        {
+            "desc": option("binboost-256", choices=BOOST, keyword="desc"),
+            **snake(use_scale_orientation=True, scale_factor=6.25),
+        },
     ),
     "daisy": DescriptorAlgorithm(
         "DAISY",
         "DAISY: gradient histograms on rings around the point",
         {
             **snake(radius=15.0, q_radius=3, q_theta=8, q_hist=8),
-            "norm": option("norm", "none", {"none": 100, "partial": 101, "full": 102, "sift": 103}),
+            "norm": option("none", choices={"none": 100, "partial": 101, "full": 102, "sift": 103}, keyword="norm"),
             **snake(interpolation=True, use_orientation=False),
         },
     ),
@@ -145,14 +147,14 @@ TABLE: dict[str, DescriptorAlgorithm] = {
     "opencv-brief": DescriptorAlgorithm(
         "BriefDescriptorExtractor",
         "BRIEF bits as OpenCV samples them",
-        {"bytes": option("bytes", 32, {16: 16, 32: 32, 64: 64}), **snake(use_orientation=False)},
+        {"bytes": option(32, choices={16: 16, 32: 32, 64: 64}, keyword="bytes"), **snake(use_orientation=False)},
     ),
     "orb": DescriptorAlgorithm(
         "ORB",
         "Oriented BRIEF bits read from ORB's pyramid",
         {
             **camel(scale_factor=1.2),
-            "n_levels": option("nlevels", 8),
+            "n_levels": option(8, keyword="nlevels"),
             **camel(edge_threshold=31, patch_size=31),
             **HALF_PIXEL,
         },
@@ -169,13 +171,13 @@ TABLE: dict[str, DescriptorAlgorithm] = {
     "teblid": DescriptorAlgorithm(
         "TEBLID",
         "Triplet-trained bits; scale_factor 1 suits ORB's sizes, 5 AKAZE's and FAST's, 6.25 KAZE's, 6.75 SIFT's",
-        {**snake(scale_factor=1.0), "n_bits": option("n_bits", 256, {256: 102, 512: 103})},
+        {**snake(scale_factor=1.0), "n_bits": option(256, choices={256: 102, 512: 103}, keyword="n_bits")},
     ),
     "vgg": DescriptorAlgorithm(
         "VGG",
         "Learnt floats (DLCO); scale_factor 0.75 suits ORB's sizes, 5 AKAZE's and FAST's, 6.25 KAZE's, 6.75 SIFT's",
         {
-            "desc": option("desc", 120, {120: 100, 80: 101, 64: 102, 48: 103}),
+            "desc": option(120, choices={120: 100, 80: 101, 64: 102, 48: 103}, keyword="desc"),
             **snake(isigma=1.4, img_normalize=True, use_scale_orientation=True, scale_factor=6.25, dsc_normalize=False),
         },
     ),

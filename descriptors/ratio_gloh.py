@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Ge, Gt
 
-from featreg.errors import ParameterError
 from featreg.interfaces import Descriptor
 from featreg.registry import register
+from featreg.runtime.parameters import Positive
 from featreg.sar.gradients.gradient_field import from_base, octave, ratio_field
-from featreg.sar.keypoints.gradient_histograms import HARMONICS, described, gloh, normalised, row_length
+from featreg.sar.keypoints.gradient_histograms import Harmonics, Step, described, gloh, normalised, row_length
 from featreg.types import Features, Image
 
 
@@ -45,25 +47,14 @@ class RatioGloh(Descriptor):
     as no gradient; only keypoints that lie there themselves, or without any gradient, are dropped.
     """
 
-    support: float = 12.0
-    finest: float = 2.0
-    factor: float = 2 ** (1 / 3)
-    floor: float = 0.01
-    step: float = 0.125
+    support: Positive = 12.0
+    finest: Positive = 2.0
+    factor: Annotated[float, Gt(1)] = 2 ** (1 / 3)
+    floor: Annotated[float, Ge(0)] = 0.01
+    step: Step = 0.125
     soft: bool = True
     root: bool = False
-    harmonics: int = 2
-
-    def __post_init__(self) -> None:
-        if not (0 < self.support < math.inf and 0 < self.finest < math.inf and self.factor > 1 and self.floor >= 0):
-            raise ParameterError(
-                "ratio-gloh needs finite support and finest > 0, factor > 1 and floor >= 0, got "
-                f"{self.support}, {self.finest}, {self.factor} and {self.floor}"
-            )
-        if not 0.01 <= self.step <= 0.25:
-            raise ParameterError(f"ratio-gloh needs 0.01 <= step <= 0.25, got {self.step}")
-        if not 0 <= self.harmonics <= HARMONICS:
-            raise ParameterError(f"ratio-gloh needs 0 <= harmonics <= {HARMONICS}, got {self.harmonics}")
+    harmonics: Harmonics = 2
 
     def reach_of(self, scale: float) -> float:
         """The radius, and twice the exponential weight of the gradients at its rim."""

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Ge
 from numpy.typing import NDArray
 
-from featreg.errors import ParameterError
 from featreg.interfaces import Detector
 from featreg.registry import register
+from featreg.runtime.parameters import Count, Positive
 from featreg.sar.gradients.bilateral import BilateralSpace, bilateral_extrema, bilateral_field, bilateral_levels
 from featreg.sar.gradients.gradient_field import from_base
 from featreg.sar.keypoints.gradient_histograms import dominant_orientation
@@ -57,29 +59,16 @@ class BfSift(Detector):
     from gradients half as coarse again as the point, in which less speckle is left; `orientation_scale` 1 is SIFT's.
     """
 
-    n_features: int = 5000
-    octaves: int = 2
-    intervals: int = 3
-    sigma: float = 1.2
-    tone: float = 5.0
+    n_features: Count = 5000
+    octaves: Count = 2
+    intervals: Count = 3
+    sigma: Positive = 1.2
+    tone: Positive = 5.0
     exact: bool = False
-    threshold: float = 0.04
-    quota_decay: float = 2.0
-    support: float = 8.0
-    orientation_scale: float = 1.5
-
-    def __post_init__(self) -> None:
-        if min(self.n_features, self.octaves, self.intervals) < 1 or not self.quota_decay >= 1:
-            raise ParameterError(
-                "bf-sift needs n_features, octaves, intervals and quota_decay >= 1, got "
-                f"{self.n_features}, {self.octaves}, {self.intervals} and {self.quota_decay}"
-            )
-        positive = (self.sigma, self.tone, self.support, self.orientation_scale)
-        if not (all(0 < value < math.inf for value in positive) and self.threshold >= 0):
-            raise ParameterError(
-                "bf-sift needs finite sigma, tone, support and orientation_scale > 0 and threshold >= 0, got "
-                f"{', '.join(map(str, positive))} and {self.threshold}"
-            )
+    threshold: Annotated[float, Ge(0)] = 0.04
+    quota_decay: Annotated[float, Ge(1)] = 2.0
+    support: Positive = 8.0
+    orientation_scale: Positive = 1.5
 
     @property
     def reach(self) -> float:

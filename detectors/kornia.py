@@ -19,7 +19,7 @@ import numpy as np
 from annotated_types import Ge, Gt
 
 from featreg.interfaces import Detector
-from featreg.interop.family import DESCRIBE, N_FEATURES, WEIGHTS, Parameter, best_first, register_table
+from featreg.interop.family import DESCRIBE, N_FEATURES, WEIGHTS, best_first, option, register_table
 from featreg.interop.kornia import COMMON, KorniaPart, KorniaRow, import_kornia
 from featreg.interop.opencv import MIN_SIDE, grey, on_data
 from featreg.interop.torch_arrays import inference, to_tensor
@@ -27,7 +27,6 @@ from featreg.runtime.optional import import_torch
 from featreg.types import Features, Image
 from featreg.types.lafs import to_numpy
 
-P = Parameter
 # Side of the patch in which kornia looks for the direction of a feature in its own pipelines.
 ORIENTATION_PATCH = 19
 # What kornia's pyramids of Key.Net describe: a radius of 22 px on the level of the point.
@@ -151,23 +150,23 @@ def _dedode_files(values: Mapping[str, Any]) -> tuple[str, ...]:
     return f"dedode_{name}.pth", f"{last}.pth"
 
 
-ORIENTATION = P("gradient", choices=("gradient", "none"), meaning="direction of the strongest gradient, or none")
+ORIENTATION = option("gradient", choices=("gradient", "none"), meaning="direction of the strongest gradient, or none")
 PYRAMID = {
     **N_FEATURES,
-    "frame": P(6.0, Gt(0), meaning="radius of the support in units of the detection scale"),
-    "n_levels": P(3, Ge(1)),
-    "init_sigma": P(1.6, Gt(0)),
-    "min_size": P(32, Ge(0)),
-    "double_image": P(True),
+    "frame": option(6.0, Gt(0), meaning="radius of the support in units of the detection scale"),
+    "n_levels": option(3, Ge(1)),
+    "init_sigma": option(1.6, Gt(0)),
+    "min_size": option(32, Ge(0)),
+    "double_image": option(True),
     "orientation": ORIENTATION,
     **COMMON,
 }
 # The size that their descriptors see is not in the interface of these networks: a nominal radius in pixels.
-SUPPORT = P(8.0, Gt(0), meaning="nominal radius of the support, px")
+SUPPORT = option(8.0, Gt(0), meaning="nominal radius of the support, px")
 LEARNED = {**N_FEATURES, **DESCRIBE, "support": SUPPORT, "weights": WEIGHTS, **COMMON}
 TABLE: dict[str, KorniaRow] = {
     "kornia-harris": KorniaRow(
-        "CornerHarris", "Harris corners in scale space, by kornia", {"k": P(0.04, Ge(0)), **PYRAMID}, _scale_space
+        "CornerHarris", "Harris corners in scale space, by kornia", {"k": option(0.04, Ge(0)), **PYRAMID}, _scale_space
     ),
     "kornia-gftt": KorniaRow("CornerGFTT", "Shi-Tomasi corners in scale space, by kornia", PYRAMID, _scale_space),
     "kornia-hessian": KorniaRow(
@@ -194,9 +193,9 @@ TABLE: dict[str, KorniaRow] = {
         "DISK",
         "DISK: learned points with descriptors of length 128, by kornia",
         {
-            "checkpoint": P("depth", choices=("depth", "epipolar")),
-            "window": P(5, Ge(1)),
-            "score_threshold": P(0.0, Ge(0)),
+            "checkpoint": option("depth", choices=("depth", "epipolar")),
+            "window": option(5, Ge(1)),
+            "score_threshold": option(0.0, Ge(0)),
             **LEARNED,
         },
         _disk,
@@ -207,9 +206,9 @@ TABLE: dict[str, KorniaRow] = {
         "ALIKED",
         "ALIKED: learned sub-pixel points with descriptors of length 128 (64: aliked-t16), by kornia",
         {
-            "model": P("aliked-n16", choices=("aliked-t16", "aliked-n16", "aliked-n16rot", "aliked-n32")),
-            "detection_threshold": P(0.2, Ge(0)),
-            "nms_radius": P(2, Ge(1)),
+            "model": option("aliked-n16", choices=("aliked-t16", "aliked-n16", "aliked-n16rot", "aliked-n32")),
+            "detection_threshold": option(0.2, Ge(0)),
+            "nms_radius": option(2, Ge(1)),
             **LEARNED,
         },
         _aliked,
@@ -219,7 +218,7 @@ TABLE: dict[str, KorniaRow] = {
     "kornia-xfeat": KorniaRow(
         "XFeat",
         "XFeat: fast learned points with descriptors of length 64, by kornia",
-        {"detection_threshold": P(0.05, Ge(0)), **LEARNED},
+        {"detection_threshold": option(0.05, Ge(0)), **LEARNED},
         _xfeat,
         lambda values: ("xfeat.pt",),
         "github.com/verlab/accelerated_features",
@@ -228,8 +227,8 @@ TABLE: dict[str, KorniaRow] = {
         "DeDoDe",
         "DeDoDe: learned points with descriptors of length 256, by kornia",
         {
-            "detector": P("L-C4-v2", choices=("L-upright", "L-C4", "L-SO2", "L-C4-v2")),
-            "descriptor": P("B-upright", choices=("B-upright", "B-C4", "B-SO2", "G-upright", "G-C4", "G-SO2")),
+            "detector": option("L-C4-v2", choices=("L-upright", "L-C4", "L-SO2", "L-C4-v2")),
+            "descriptor": option("B-upright", choices=("B-upright", "B-C4", "B-SO2", "G-upright", "G-C4", "G-SO2")),
             "descriptor_weights": WEIGHTS,
             **LEARNED,
         },

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from featreg.interfaces import Detector
-from featreg.interop.family import N_FEATURES, Parameter, Part, best_first, register_table
+from featreg.interop.family import N_FEATURES, Option, Part, best_first, option, register_table
 from featreg.interop.opencv import (
     HALF_PIXEL,
     LEVELS,
@@ -28,14 +28,13 @@ from featreg.interop.opencv import (
     clearance,
     grey,
     on_data,
-    option,
     orb_to_true,
     snake,
 )
 from featreg.types import Features, FloatArray, Image
 
 
-def budget(keyword: str) -> dict[str, Parameter]:
+def budget(keyword: str) -> dict[str, Option]:
     """OpenCV's own limit on the number of features."""
     return {"n_features": replace(N_FEATURES["n_features"], keyword=keyword)}
 
@@ -66,7 +65,7 @@ TABLE: dict[str, DetectorAlgorithm] = {
         {
             **N_FEATURES,
             **THRESHOLD,
-            "type": option("type", "oast-9-16", {"5-8": 0, "7-12d": 1, "7-12s": 2, "oast-9-16": 3}),
+            "type": option("oast-9-16", choices={"5-8": 0, "7-12d": 1, "7-12s": 2, "oast-9-16": 3}, keyword="type"),
         },
     ),
     "akaze": DetectorAlgorithm(
@@ -110,7 +109,7 @@ TABLE: dict[str, DetectorAlgorithm] = {
     "fast": DetectorAlgorithm(
         "FastFeatureDetector",
         "FAST corners",
-        {**N_FEATURES, **THRESHOLD, "type": option("type", "9-16", {"5-8": 0, "7-12": 1, "9-16": 2})},
+        {**N_FEATURES, **THRESHOLD, "type": option("9-16", choices={"5-8": 0, "7-12": 1, "9-16": 2}, keyword="type")},
     ),
     "gftt": DetectorAlgorithm(
         "GFTTDetector",
@@ -128,8 +127,8 @@ TABLE: dict[str, DetectorAlgorithm] = {
             **budget("maxCorners"),
             **camel(num_octaves=6),
             **snake(corn_thresh=0.01),
-            "dog_thresh": option("DOG_thresh", 0.01),
-            "num_layers": option("num_layers", 4, {2: 2, 4: 4}),
+            "dog_thresh": option(0.01, keyword="DOG_thresh"),
+            "num_layers": option(4, choices={2: 2, 4: 4}, keyword="num_layers"),
             **HALF_PIXEL,
         },
         true_xy=lambda values, found, shape: found.xy - 0.5,
@@ -145,15 +144,15 @@ TABLE: dict[str, DetectorAlgorithm] = {
         "Maximal self-dissimilarity points",
         {
             **N_FEATURES,
-            "patch_radius": option("m_patch_radius", 3),
-            "search_area_radius": option("m_search_area_radius", 5),
-            "nms_radius": option("m_nms_radius", 5),
-            "nms_scale_radius": option("m_nms_scale_radius", 0),
-            "th_saliency": option("m_th_saliency", 250.0),
-            "k_nn": option("m_kNN", 4),
-            "scale_factor": option("m_scale_factor", 1.25),
-            "n_scales": option("m_n_scales", -1),
-            "compute_orientation": option("m_compute_orientation", False),
+            "patch_radius": option(3, keyword="m_patch_radius"),
+            "search_area_radius": option(5, keyword="m_search_area_radius"),
+            "nms_radius": option(5, keyword="m_nms_radius"),
+            "nms_scale_radius": option(0, keyword="m_nms_scale_radius"),
+            "th_saliency": option(250.0, keyword="m_th_saliency"),
+            "k_nn": option(4, keyword="m_kNN"),
+            "scale_factor": option(1.25, keyword="m_scale_factor"),
+            "n_scales": option(-1, keyword="m_n_scales"),
+            "compute_orientation": option(False, keyword="m_compute_orientation"),
         },
         min_side=32,
     ),
@@ -168,9 +167,9 @@ TABLE: dict[str, DetectorAlgorithm] = {
         {
             **budget("nfeatures"),
             **camel(scale_factor=1.2),
-            "n_levels": option("nlevels", 8),
+            "n_levels": option(8, keyword="nlevels"),
             **camel(edge_threshold=31),
-            "score_type": option("scoreType", "harris", {"harris": 0, "fast": 1}),
+            "score_type": option("harris", choices={"harris": 0, "fast": 1}, keyword="scoreType"),
             **camel(patch_size=31, fast_threshold=20),
             **HALF_PIXEL,
         },

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Annotated, Literal
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
 
-from featreg.errors import ParameterError
 from featreg.interfaces import Detector
 from featreg.registry import register
+from featreg.runtime.parameters import Count
 from featreg.types import BoolArray, Features, Image
 
 #: Rows whose gradients are computed at a time.
@@ -38,21 +41,10 @@ class Prewitt(Detector):
     images. No neighbourhood is suppressed, since the paper counts all points; the angle is that of the gradient.
     """
 
-    n_features: int = 5000
-    threshold: float = 4.0
-    relative_to: str = "mean"
-    length: str = "euclidean"
-
-    def __post_init__(self) -> None:
-        if self.n_features < 1 or not 0 <= self.threshold < float("inf"):
-            raise ParameterError(
-                f"prewitt needs n_features >= 1 and a finite threshold >= 0, got {self.n_features}, {self.threshold}"
-            )
-        if self.relative_to not in ("mean", "max") or self.length not in ("euclidean", "absolute"):
-            raise ParameterError(
-                "prewitt needs relative_to 'mean' or 'max' and length 'euclidean' or 'absolute', "
-                f"got '{self.relative_to}' and '{self.length}'"
-            )
+    n_features: Count = 5000
+    threshold: Annotated[float, Interval(ge=0, lt=math.inf)] = 4.0
+    relative_to: Literal["mean", "max"] = "mean"
+    length: Literal["euclidean", "absolute"] = "euclidean"
 
     def detect_features(self, image: Image) -> Features:
         size, used = self._gradient(image)

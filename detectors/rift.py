@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated, Literal
 
 import numpy as np
+from annotated_types import Ge, Interval
 
-from featreg.errors import ParameterError
 from featreg.interfaces import Detector
 from featreg.registry import register
-from featreg.sar.gradients.log_gabor import LogGabor
-from featreg.sar.gradients.phase_congruency import Congruency, bytes_of, congruency_maps, without_rim
+from featreg.runtime.parameters import Count, Positive
+from featreg.sar.gradients.log_gabor import Bandwidth, LogGabor, MinWavelength, Multiplier, Orientations, Scales
+from featreg.sar.gradients.phase_congruency import Congruency, Noise, View, bytes_of, congruency_maps, without_rim
 from featreg.sar.keypoints.corners import fast_corners, orientation, refine_centroid
 from featreg.sar.pyramid import SUPPORT, clear
 from featreg.types import Features, FloatArray, Image, IntArray
@@ -52,33 +54,20 @@ class PhaseCongruency(Detector):
     centroid of the edge map, does not depend on how a sensor maps brightness.
     """
 
-    n_features: int = 5000
-    corner_share: float = 0.5
-    threshold: int = 5
-    support: float = SUPPORT
-    subpixel: str = "centroid"
-    sigma: float = 0.8
-    scales: int = 2
-    orientations: int = 4
-    min_wavelength: float = 6.0
-    multiplier: float = 3.0
-    bandwidth: float = 0.35
-    noise: float = 0.0
-    floor: float = 0.1
-    view: str = "soft-log"
-
-    def __post_init__(self) -> None:
-        self._settings()
-        if self.n_features < 1 or not 0 <= self.corner_share <= 1 or not 0 <= self.threshold <= 254:
-            raise ParameterError(
-                "phase-congruency needs n_features >= 1, corner_share from 0 to 1 and threshold from 0 to 254, got "
-                f"{self.n_features}, {self.corner_share} and {self.threshold}"
-            )
-        if not self.support >= 3 or not 0 < self.sigma < 100 or self.subpixel not in ("centroid", "none"):
-            raise ParameterError(
-                "phase-congruency needs support >= 3, sigma > 0 and subpixel 'centroid' or 'none', got "
-                f"{self.support}, {self.sigma} and '{self.subpixel}'"
-            )
+    n_features: Count = 5000
+    corner_share: Annotated[float, Interval(ge=0, le=1)] = 0.5
+    threshold: Annotated[int, Interval(ge=0, le=254)] = 5
+    support: Annotated[float, Ge(3)] = SUPPORT
+    subpixel: Literal["centroid", "none"] = "centroid"
+    sigma: Annotated[float, Interval(gt=0, lt=100)] = 0.8
+    scales: Scales = 2
+    orientations: Orientations = 4
+    min_wavelength: MinWavelength = 6.0
+    multiplier: Multiplier = 3.0
+    bandwidth: Bandwidth = 0.35
+    noise: Noise = 0.0
+    floor: Positive = 0.1
+    view: View = "soft-log"
 
     def _settings(self) -> tuple[LogGabor, Congruency]:
         bank = LogGabor(self.scales, self.orientations, self.min_wavelength, self.multiplier, self.bandwidth)

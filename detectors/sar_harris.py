@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Ge, Interval
 from numpy.typing import NDArray
 
-from featreg.errors import ParameterError
 from featreg.interfaces import Detector
 from featreg.registry import register
+from featreg.runtime.parameters import Count, Positive
 from featreg.sar.gradients.gradient_field import filled_gradients, from_base, octave, ratio_field
 from featreg.sar.keypoints.gradient_histograms import dominant_orientation
 from featreg.sar.keypoints.maxima import interpolated, local_maxima, parabola_peak, quadratic_peak
@@ -69,35 +71,18 @@ class SarHarris(Detector):
     of alpha; both stay at the pixel and the layer where the fit leaves it. A keypoint has one orientation.
     """
 
-    n_features: int = 5000
-    scales: int = 8
-    alpha: float = 1.0
-    factor: float = 2 ** (1 / 3)
-    integration: float = 0.8
-    d: float = 0.04
-    threshold: float = 1e-3
-    floor: float = 0.01
-    quota_decay: float = 1.6
-    support: float = 12.0
-    finest: float = 2.0
+    n_features: Count = 5000
+    scales: Count = 8
+    alpha: Positive = 1.0
+    factor: Annotated[float, Interval(gt=1, lt=math.inf)] = 2 ** (1 / 3)
+    integration: Positive = 0.8
+    d: Annotated[float, Interval(ge=0, lt=0.25)] = 0.04
+    threshold: Annotated[float, Ge(0)] = 1e-3
+    floor: Annotated[float, Ge(0)] = 0.01
+    quota_decay: Annotated[float, Ge(1)] = 1.6
+    support: Positive = 12.0
+    finest: Positive = 2.0
     subscale: bool = True
-
-    def __post_init__(self) -> None:
-        if self.n_features < 1 or self.scales < 1 or not 1 < self.factor < math.inf or not self.quota_decay >= 1:
-            raise ParameterError(
-                "sar-harris needs n_features >= 1, scales >= 1, factor > 1 and quota_decay >= 1, got "
-                f"{self.n_features}, {self.scales}, {self.factor} and {self.quota_decay}"
-            )
-        if not all(0 < value < math.inf for value in (self.alpha, self.integration, self.support, self.finest)):
-            raise ParameterError(
-                "sar-harris needs finite alpha, integration, support and finest > 0, got "
-                f"{self.alpha}, {self.integration}, {self.support} and {self.finest}"
-            )
-        if not 0 <= self.d < 0.25 or not self.threshold >= 0 or not self.floor >= 0:
-            raise ParameterError(
-                "sar-harris needs 0 <= d < 0.25 (beyond, no response is positive), threshold >= 0 and floor >= 0, got "
-                f"{self.d}, {self.threshold} and {self.floor}"
-            )
 
     @property
     def reach(self) -> float:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated, Literal
 
 import numpy as np
+from annotated_types import Ge, Gt, Interval
 from numpy.typing import NDArray
 
-from featreg.errors import ParameterError
 from featreg.interfaces import Detector
 from featreg.registry import register
+from featreg.runtime.parameters import Count, Positive
 from featreg.sar.gradients.ratio import quantised_edges, ratio_gradients
 from featreg.sar.keypoints.corners import fast_corners, orientation, refine_centroid, refine_corner
 from featreg.sar.pyramid import REACH, SUPPORT, clear, pyramid, share_out, to_base
@@ -50,38 +52,17 @@ class SarOfast(Detector):
     is marked False in `Features.subpixel`.
     """
 
-    n_features: int = 5000
-    levels: int = 8
-    factor: float = 1.2
-    alpha: float = 2.0
-    floor: float = 0.1
-    threshold: int = 10
-    quota_decay: float = 2.5
-    support: float = SUPPORT
-    edge: str = "log"
-    subpixel: str = "centroid"
-    sigma: float = 1.0
-
-    def __post_init__(self) -> None:
-        if not (self.n_features >= 1 and self.levels >= 1 and self.factor > 1 and self.quota_decay >= 1):
-            raise ParameterError(
-                "sar-ofast needs n_features >= 1, levels >= 1, factor > 1 and quota_decay >= 1, got "
-                f"{self.n_features}, {self.levels}, {self.factor} and {self.quota_decay}"
-            )
-        if not (self.alpha > 0 and self.floor >= 0 and 0 <= self.threshold < 255):
-            raise ParameterError(
-                "sar-ofast needs alpha > 0, floor >= 0 and 0 <= threshold < 255, got "
-                f"{self.alpha}, {self.floor} and {self.threshold}"
-            )
-        if not (3 <= self.support <= 1000 and 0.3 <= self.sigma <= 10):
-            raise ParameterError(
-                f"sar-ofast needs 3 <= support <= 1000 and 0.3 <= sigma <= 10, got {self.support} and {self.sigma}"
-            )
-        if self.edge not in ("log", "eq5") or self.subpixel not in ("centroid", "corner", "none"):
-            raise ParameterError(
-                "sar-ofast needs edge 'log' or 'eq5' and subpixel 'centroid', 'corner' or 'none', "
-                f"got '{self.edge}' and '{self.subpixel}'"
-            )
+    n_features: Count = 5000
+    levels: Count = 8
+    factor: Annotated[float, Gt(1)] = 1.2
+    alpha: Positive = 2.0
+    floor: Annotated[float, Ge(0)] = 0.1
+    threshold: Annotated[int, Interval(ge=0, le=254)] = 10
+    quota_decay: Annotated[float, Ge(1)] = 2.5
+    support: Annotated[float, Interval(ge=3, le=1000)] = SUPPORT
+    edge: Literal["log", "eq5"] = "log"
+    subpixel: Literal["centroid", "corner", "none"] = "centroid"
+    sigma: Annotated[float, Interval(ge=0.3, le=10)] = 1.0
 
     @property
     def reach(self) -> float:

@@ -11,14 +11,13 @@ import importlib
 import inspect
 import logging
 import pkgutil
+import sys
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from importlib.metadata import entry_points
 from typing import Any, Literal, TypeVar, overload
-
-import numpy as np
 
 from featreg.errors import (
     DuplicatePluginError,
@@ -29,9 +28,11 @@ from featreg.errors import (
     suggest,
 )
 from featreg.interfaces import Descriptor, Detector, Filter, Matcher, Model, Nearest
+from featreg.presets import PRESETS
+from featreg.runtime.parameters import Parameter, checked, declared
 
 Kind = Literal["detector", "descriptor", "nearest", "matcher", "filter", "model"]
-KINDS: Mapping[Kind, type[Any]] = {
+KINDS: Mapping[str, type[Any]] = {
     "detector": Detector,
     "descriptor": Descriptor,
     "nearest": Nearest,
@@ -41,14 +42,6 @@ KINDS: Mapping[Kind, type[Any]] = {
 }
 ROOMS = ("featreg.detectors", "featreg.descriptors", "featreg.matchers")
 CORE = ("featreg.geometry", "featreg.geolocation")
-
-# What values of parameters are, the narrower first: a bool is an int in Python.
-TYPES: tuple[tuple[tuple[type, ...], str], ...] = (
-    ((bool, np.bool_), "true or false"),
-    ((int, np.integer), "a whole number"),
-    ((float, np.floating), "a number"),
-    ((str,), "a word"),
-)
 
 logger = logging.getLogger(__name__)
 T = TypeVar("T")
@@ -73,6 +66,14 @@ class Entry:
     block_parameters: Mapping[str, Any] = field(default_factory=dict)
     compiled: bool = True
     describes: str | None = None
+    table: Mapping[str, Parameter] | None = None
+
+    @property
+    def declared(self) -> Mapping[str, Parameter]:
+        """Name -> what is declared of a parameter, by the class or by the table that the plugin is a row of."""
+        if self.table is None:
+            return {} if self.kind == "model" else declared(self.factory)
+        return self.table
 
 
 _entries: dict[tuple[str, str], Entry] = {}
@@ -84,7 +85,8 @@ _lock = threading.RLock()
 def register(name: str, *, unavailable: str = "") -> Callable[[type[T]], type[T]]:
     """Class decorator: add a plugin class under `name`; its kind follows from its base class.
 
-    `unavailable` is the reason and the cure where the class exists but cannot be used here.
+    From then on what the class is constructed with is checked against its annotations, see
+    `featreg.runtime.parameters`. `unavailable` is the reason and the cure where the class exists but cannot be used.
 
     Raises
     ------
@@ -95,6 +97,8 @@ def register(name: str, *, unavailable: str = "") -> Callable[[type[T]], type[T]
     def add(cls: type[T]) -> type[T]:
         kind = kind_of(cls, name)
         defaults = {} if kind == "model" else _defaults(name, cls)
+        if defaults:
+            checked(name)(cls)
         said = {key: getattr(cls, key) for key in ("block_parameters", "compiled", "describes") if hasattr(cls, key)}
         _add(Entry(kind, name, cls, cls.__module__, defaults, _first_line(cls), unavailable, **said))
         return cls
@@ -118,38 +122,43 @@ def register_family(
 ) -> None:
     """Add one member of a third-party family from a table: `factory(**parameters)` makes the plugin.
 
-    The other arguments are those of `Entry`. `featreg.interop.family.register_table` does so for every row of a table.
+    `parameters` are name -> default, or a `Parameter` that says more; the other arguments are those of `Entry`.
+    `featreg.interop.family.register_table` does so for every row of a table.
     """
+    table = {
+        key: value if isinstance(value, Parameter) else Parameter.of(inspect.Parameter.empty, value)
+        for key, value in parameters.items()
+    }
     _add(
         Entry(
             kind,
             name,
             factory,
             module,
-            dict(parameters),
+            {key: parameter.default for key, parameter in table.items()},
             summary,
             unavailable,
             on_demand,
             dict(block_parameters or {}),
             compiled,
             describes,
+            table,
         )
     )
 
 
 def kind_of(cls: type[Any], name: str) -> Kind:
     """Return the kind of a class that is to be registered under `name`, or raise `PluginError` where it has none."""
-    kinds: list[Kind] = [kind for kind, base in KINDS.items() if issubclass(cls, base)]
+    kinds: list[Any] = [kind for kind, base in KINDS.items() if issubclass(cls, base)]
     if len(kinds) != 1:
         raise PluginError(f"plugin '{name}' ({cls.__module__}) must extend exactly one of {', '.join(KINDS)}")
-    return kinds[0]
+    found: Kind = kinds[0]
+    return found
 
 
 def available(kind: str) -> list[str]:
     """Return the sorted names of a kind: detector, descriptor, nearest, matcher, filter, model or method."""
     if kind == "method":
-        from featreg.presets import PRESETS
-
         return sorted(PRESETS)
     return sorted(e.name for e in entries(kind) if not e.unavailable)
 
@@ -178,9 +187,17 @@ def entry(kind: str, name: str) -> Entry:
     """
     known = {e.name: e for e in entries(kind)}
     if name not in known:
-        hidden = "".join(f"; {m} could not be imported ({why})" for m, why in _broken.items())
-        raise UnknownNameError(f"unknown {kind} '{name}', {suggest(name, known)}{hidden}")
+        raise unknown(kind, name)
     return known[name]
+
+
+def unknown(kind: str, name: str) -> UnknownNameError:
+    """Return the error of a name that a kind does not have: what else it is, the nearest ones, and what is hidden."""
+    kinds = {one: [e.name for e in entries(one)] for one in KINDS} | {"method": list(PRESETS)}
+    others = " and a ".join(one for one, names in kinds.items() if name in names)
+    what = f": that is a {others}, not a {kind};" if others else ","
+    hidden = "".join(f"; {m} could not be imported ({why})" for m, why in _broken.items())
+    return UnknownNameError(f"unknown {kind} '{name}'{what} {suggest(name, kinds[kind])}{hidden}")
 
 
 @overload
@@ -206,20 +223,12 @@ def create(kind: str, name: str, **parameters: Any) -> Any:
     found = entry(kind, name)
     if found.unavailable and not found.on_demand:
         raise PluginUnavailableError(f"{kind} '{name}' cannot be used here: {found.unavailable}")
+    known = found.declared
     for key, value in parameters.items():
-        if key not in found.parameters:
-            raise ParameterError(f"{kind} '{name}' has no parameter '{key}', {suggest(key, found.parameters)}")
-        check_type(f"{name}.{key}", value, found.parameters[key])
+        if key not in known:
+            raise ParameterError(f"{kind} '{name}' has no parameter '{key}', {suggest(key, known)}")
+        known[key].check(f"{name}.{key}", value)
     return found.factory(**parameters)
-
-
-def check_type(name: str, value: Any, default: Any) -> None:
-    """Raise a `ParameterError` where a value is of another type than the default it replaces (None takes any)."""
-    wanted = next((words for kinds, words in TYPES if isinstance(default, kinds)), None)
-    given = next((words for kinds, words in TYPES if isinstance(value, kinds)), None)
-    if wanted is None or given == wanted or (wanted, given) == ("a number", "a whole number"):
-        return
-    raise ParameterError(f"'{name}' must be {wanted} (its default is {default!r}), got {value!r}")
 
 
 def model_class(name: str) -> type[Model]:
@@ -266,17 +275,24 @@ def _load() -> None:
         for room in ROOMS:
             for found in pkgutil.iter_modules(importlib.import_module(room).__path__):
                 module = f"{room}.{found.name}"
-                _import(module, partial(importlib.import_module, module))
+                _import(module, partial(importlib.import_module, module), ours=True)
         for point in entry_points(group="featreg.plugins"):
             _import(point.value, point.load)
         _loaded = True
 
 
-def _import(name: str, load: Callable[[], Any]) -> None:
+def _import(name: str, load: Callable[[], Any], *, ours: bool = False) -> None:
+    """Load a module or an entry point: everything that it registers, or nothing and the reason why."""
+    before = set(_entries)
     try:
         load()
-    except DuplicatePluginError:
-        raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
+        # A name of ours that is taken already was taken by the caller, whose mistake that is.
+        if ours and isinstance(error, DuplicatePluginError):
+            raise
+        for key in _entries.keys() - before:
+            # A module that it imported whole stands on its own: it would not be run again.
+            if _entries[key].module == name.partition(":")[0] or _entries[key].module not in sys.modules:
+                del _entries[key]
         _broken[name] = f"{type(error).__name__}: {error}"
         logger.warning("plugin %s is hidden: %s", name, _broken[name])

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from featreg.errors import ParameterError
 from featreg.interfaces import Nearest
 from featreg.registry import register
+from featreg.runtime.parameters import Share
 from featreg.types import Features, FloatArray, IntArray
 
 # Columns of 64-bit words compared at a time.
@@ -37,11 +38,7 @@ class BruteForce(Nearest):
     """
 
     mutual: bool = True
-    ratio: float = 1.0
-
-    def __post_init__(self) -> None:
-        if not 0 < self.ratio <= 1:
-            raise ParameterError(f"brute-force needs 0 < ratio <= 1, got {self.ratio}")
+    ratio: Share = 1.0
 
     def match_features(self, reference: Features, secondary: Features) -> tuple[IntArray, FloatArray]:
         if not len(reference) or not len(secondary):

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from featreg.errors import ParameterError
 from featreg.geometry.robust import fit_consensus
 from featreg.interfaces import Filter, FilterContext
 from featreg.registry import register
+from featreg.runtime.parameters import Count, Positive, Probability, Share
 from featreg.types import BoolArray, Matches
 
 
@@ -43,19 +43,10 @@ class Fsc(Filter):
     registration", IEEE Geosci. Remote Sens. Lett. 12(1), 43-47, 2015, DOI 10.1109/LGRS.2014.2325970
     """
 
-    threshold: float = 3.0
-    iterations: int = 800
-    share: float = 0.3
-    confidence: float = 0.999
-
-    def __post_init__(self) -> None:
-        if not 0 < self.share <= 1:
-            raise ParameterError(f"fsc: share must lie in (0, 1], got {self.share}")
-        if not self.threshold > 0 or self.iterations < 1 or not 0 < self.confidence < 1:
-            raise ParameterError(
-                "fsc: threshold must be > 0, iterations >= 1 and confidence between 0 and 1, "
-                f"got {self.threshold}, {self.iterations}, {self.confidence}"
-            )
+    threshold: Positive = 3.0
+    iterations: Count = 800
+    share: Share = 0.3
+    confidence: Probability = 0.999
 
     def keep(self, matches: Matches, context: FilterContext) -> BoolArray:
         """Return the matches within the threshold of the best model; all False where there is none."""

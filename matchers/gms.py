@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
+from annotated_types import Gt, Interval
 
-from featreg.errors import ParameterError
 from featreg.interfaces import Filter, FilterContext
 from featreg.registry import register
 from featreg.types import BoolArray, FloatArray, IntArray, Matches
@@ -42,16 +42,10 @@ class Gms(Filter):
     # A block holds fewer tie points than a whole image does.
     block_parameters: ClassVar[Mapping[str, Any]] = MappingProxyType({"grid": 10})
 
-    grid: int = 20
-    threshold_factor: float = 6.0
+    grid: Annotated[int, Interval(ge=3, le=60)] = 20
+    threshold_factor: Annotated[float, Gt(0)] = 6.0
     rotation: bool = True
     scale: bool = False
-
-    def __post_init__(self) -> None:
-        if not 3 <= self.grid <= 60 or not self.threshold_factor > 0:
-            raise ParameterError(
-                f"gms needs 3 <= grid <= 60 and threshold_factor > 0, got {self.grid} and {self.threshold_factor}"
-            )
 
     def keep(self, matches: Matches, context: FilterContext) -> BoolArray:
         best = np.zeros(len(matches), np.bool_)

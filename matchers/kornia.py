@@ -15,15 +15,13 @@ from annotated_types import Ge
 
 from featreg.errors import ParameterError
 from featreg.interfaces import Matcher, Nearest
-from featreg.interop.family import N_FEATURES, WEIGHTS, Parameter, register_table
+from featreg.interop.family import N_FEATURES, WEIGHTS, option, register_table
 from featreg.interop.kornia import COMMON, RUN, KorniaPart, KorniaRow, import_kornia
 from featreg.interop.torch_arrays import as_device, inference, to_tensor
 from featreg.runtime.optional import import_torch
 from featreg.runtime.timing import stage
 from featreg.types import BoolArray, Features, FloatArray, Image, IntArray, Matches
 from featreg.types.lafs import to_numpy
-
-P = Parameter
 
 
 @dataclass(frozen=True)
@@ -119,16 +117,16 @@ def _build_loftr(creator: str, values: Mapping[str, Any], trained: bool = False)
 LOFTR_FILES = {"outdoor": "loftr_outdoor.ckpt", "indoor": "loftr_indoor.ckpt", "indoor_new": "loftr_indoor_ds_new.ckpt"}
 SWITCHED = "0 switches the test off"
 ADALAM = {
-    "area_ratio": P(100, Ge(0)),
-    "search_expansion": P(4, Ge(0)),
-    "ransac_iters": P(128, Ge(0)),
-    "min_inliers": P(6, Ge(0)),
-    "min_confidence": P(200, Ge(0)),
-    "orientation_difference_threshold": P(30.0, Ge(0), meaning=f"of the change of direction, degrees; {SWITCHED}"),
-    "scale_rate_threshold": P(1.5, Ge(0), meaning=f"of the change of size; {SWITCHED}"),
-    "detected_scale_rate_threshold": P(5.0, Ge(0)),
-    "refit": P(True),
-    "force_seed_mnn": P(True),
+    "area_ratio": option(100, Ge(0)),
+    "search_expansion": option(4, Ge(0)),
+    "ransac_iters": option(128, Ge(0)),
+    "min_inliers": option(6, Ge(0)),
+    "min_confidence": option(200, Ge(0)),
+    "orientation_difference_threshold": option(30.0, Ge(0), meaning=f"of the change of direction, degrees; {SWITCHED}"),
+    "scale_rate_threshold": option(1.5, Ge(0), meaning=f"of the change of size; {SWITCHED}"),
+    "detected_scale_rate_threshold": option(5.0, Ge(0)),
+    "refit": option(True),
+    "force_seed_mnn": option(True),
 }
 LIGHTGLUE = (
     "aliked", "dedodeb", "dedodeg", "disk", "dog_affnet_hardnet", "doghardnet", "keynet_affnet_hardnet", "sift",
@@ -139,13 +137,13 @@ TABLE: dict[str, NearestRow] = {
     "kornia-smnn": NearestRow(
         "match_smnn",
         "Mutual nearest neighbours that pass the ratio test both ways, by kornia",
-        {"threshold": P(0.95, Ge(0)), **RUN},
+        {"threshold": option(0.95, Ge(0)), **RUN},
         run=_smnn,
     ),
     "kornia-fginn": NearestRow(
         "match_fginn",
         "Nearest neighbours that pass the ratio test against the next one elsewhere, by kornia",
-        {"threshold": P(0.85, Ge(0)), "spatial_threshold": P(10.0, Ge(0)), "mutual": P(True), **RUN},
+        {"threshold": option(0.85, Ge(0)), "spatial_threshold": option(10.0, Ge(0)), "mutual": option(True), **RUN},
         run=_fginn,
     ),
     "kornia-adalam": NearestRow(
@@ -157,7 +155,12 @@ TABLE: dict[str, NearestRow] = {
     "kornia-lightglue": NearestRow(
         "LightGlue",
         "LightGlue: learned matching of the features named, by kornia",
-        {"features": P("disk", choices=LIGHTGLUE), "filter_threshold": P(0.1, Ge(0)), "weights": WEIGHTS, **RUN},
+        {
+            "features": option("disk", choices=LIGHTGLUE),
+            "filter_threshold": option(0.1, Ge(0)),
+            "weights": WEIGHTS,
+            **RUN,
+        },
         _build_lightglue,
         _lightglue_files,
         "huggingface.co/kornia/lightglue",
@@ -170,9 +173,9 @@ MATCHERS: dict[str, KorniaRow] = {
         "LoFTR: learned dense matching without keypoints, by kornia",
         {
             **N_FEATURES,
-            "checkpoint": P("outdoor", choices=tuple(LOFTR_FILES)),
-            "threshold": P(0.2, Ge(0)),
-            "max_side": P(840, Ge(1), meaning="longer images are reduced to it, px"),
+            "checkpoint": option("outdoor", choices=tuple(LOFTR_FILES)),
+            "threshold": option(0.2, Ge(0)),
+            "max_side": option(840, Ge(1), meaning="longer images are reduced to it, px"),
             "weights": WEIGHTS,
             **COMMON,
         },

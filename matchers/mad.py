@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
-from featreg.errors import ParameterError
 from featreg.geometry.robust import fit_consensus
 from featreg.interfaces import FailedFit, Filter, FilterContext
 from featreg.registry import register
-from featreg.sar.obcls.cancellation import cancelled, check
+from featreg.runtime.parameters import Positive
+from featreg.sar.obcls.cancellation import Rule, cancelled, check_kappa
 from featreg.types import BoolArray, FloatArray, Matches
-
-STARTS = ("all", "consensus")
 
 
 @register("mad")
@@ -27,7 +26,7 @@ class Mad(Filter):
     threshold : "mad" (kappa times the scaled median absolute deviation, as published, Eq. 4) or
         "median+mad" (the same above the median of the errors)
     start : of what the first fit is: "all" tie points, or the largest "consensus" among them within `start_px`
-    start_px : px
+    start_px : largest distance from the consensus of a tie point that belongs to it, px
     kappa_first, kappa_last, kappa_step : kappa falls from the first to the last
 
     Notes
@@ -43,19 +42,15 @@ class Mad(Filter):
     """
 
     cancellation: bool = True
-    threshold: str = "median+mad"
-    start: str = "all"
-    start_px: float = 3.0
-    kappa_first: float = 3.0
-    kappa_last: float = 2.0
-    kappa_step: float = 0.25
+    threshold: Rule = "median+mad"
+    start: Literal["all", "consensus"] = "all"
+    start_px: Positive = 3.0
+    kappa_first: Positive = 3.0
+    kappa_last: Positive = 2.0
+    kappa_step: Positive = 0.25
 
     def __post_init__(self) -> None:
-        check(self.threshold, self.kappa_first, self.kappa_last, self.kappa_step)
-        if self.start not in STARTS or not self.start_px > 0:
-            raise ParameterError(
-                f"mad: start must be 'all' or 'consensus' and start_px > 0, got '{self.start}' and {self.start_px}"
-            )
+        check_kappa(self.kappa_first, self.kappa_last)
 
     def keep(self, matches: Matches, context: FilterContext) -> BoolArray:
         """Return what was not cancelled; all False where the tie points cannot be fitted."""

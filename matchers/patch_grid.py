@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Ge
 
-from featreg.errors import ParameterError, suggest
 from featreg.geometry import Rigid
 from featreg.interfaces import Matcher
 from featreg.registry import register
+from featreg.runtime.parameters import Count
 from featreg.runtime.timing import stage
 from featreg.sar.obcls.association import Map
-from featreg.sar.obcls.patch_location import SAMPLES, PatchLocation, check_samples
+from featreg.sar.obcls.patch_location import PatchLocation, Samples, check_samples
 from featreg.types import FloatArray, Image, Matches
 
 
@@ -41,24 +43,13 @@ class PatchGrid(Matcher):
     Pallotta et al., "SAR coregistration by robust selection of extended targets and iterative outlier cancellation"
     """
 
-    tie_points: str = "rc"
-    patch: int = 100
-    patch_width: int = 0
-    step: int = 0
+    tie_points: Samples = "rc"
+    patch: Annotated[int, Ge(4)] = 100
+    patch_width: Annotated[int, Ge(0)] = 0
+    step: Annotated[int, Ge(0)] = 0
     subpixel: bool = True
-    passes: int = 1
+    passes: Count = 1
     zeros_are_data: bool = False
-
-    def __post_init__(self) -> None:
-        if self.tie_points not in SAMPLES:
-            raise ParameterError(
-                f"patch-grid: unknown tie_points '{self.tie_points}', {suggest(self.tie_points, SAMPLES)}"
-            )
-        if self.patch < 4 or self.patch_width < 0 or self.step < 0 or self.passes < 1:
-            raise ParameterError(
-                "patch-grid needs patch >= 4, patch_width >= 0, step >= 0 and passes >= 1, got "
-                f"{self.patch}, {self.patch_width}, {self.step} and {self.passes}"
-            )
 
     @property
     def reach(self) -> float:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
-from featreg.errors import ParameterError, suggest
+from featreg.errors import ParameterError
 from featreg.geometry.robust import fit_consensus
 from featreg.interfaces import Filter, FilterContext, Model
 from featreg.registry import model_name, register
+from featreg.runtime.parameters import Count, Positive, Probability
 from featreg.types import BoolArray, Matches
 
 USAC = ("usac-default", "usac-fast", "usac-accurate", "usac-magsac")
@@ -20,7 +21,9 @@ OPENCV: dict[str, tuple[str, tuple[str, ...]]] = {
     "affine": ("estimateAffine2D", ("ransac", "lmeds", *USAC)),
     "homography": ("findHomography", ("ransac", "lmeds", "rho", *USAC)),
 }
-ESTIMATORS = ("own", "ransac", "lmeds", "rho", *USAC)
+Estimator = Literal[
+    "own", "ransac", "lmeds", "rho", "usac-default", "usac-fast", "usac-accurate", "usac-magsac"
+]  # fmt: skip
 
 
 @register("ransac")
@@ -50,19 +53,10 @@ class Ransac(Filter):
     hypotheses of their own.
     """
 
-    threshold: float = 3.0
-    iterations: int = 5000
-    confidence: float = 0.999
-    estimator: str = "own"
-
-    def __post_init__(self) -> None:
-        if self.estimator not in ESTIMATORS:
-            raise ParameterError(f"ransac: unknown estimator '{self.estimator}', {suggest(self.estimator, ESTIMATORS)}")
-        if not self.threshold > 0 or self.iterations < 1 or not 0 < self.confidence < 1:
-            raise ParameterError(
-                "ransac: threshold must be > 0, iterations >= 1 and confidence between 0 and 1, "
-                f"got {self.threshold}, {self.iterations}, {self.confidence}"
-            )
+    threshold: Positive = 3.0
+    iterations: Count = 5000
+    confidence: Probability = 0.999
+    estimator: Estimator = "own"
 
     def keep(self, matches: Matches, context: FilterContext) -> BoolArray:
         """Return the inliers of the best model; all False where there is none."""

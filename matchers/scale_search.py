@@ -5,17 +5,19 @@ from __future__ import annotations
 import logging
 import math
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Ge, Interval
 
 from featreg import registry
-from featreg.errors import ParameterError
 from featreg.geometry import Similarity
 from featreg.geometry.robust import fit_consensus
 from featreg.interfaces import FailedFit, Matcher, Plugin
 from featreg.pipeline.feature_matcher import FeatureMatcher
 from featreg.pipeline.trust import distinct
 from featreg.registry import register
+from featreg.runtime.parameters import Count, Positive, Share
 from featreg.runtime.timing import stage
 from featreg.sar.pyramid import to_base
 from featreg.types import Image, Matches, read_only
@@ -78,30 +80,18 @@ class ScaleSearch(Matcher):
     can each have a consensus on a scene of fields or streets: then none is given.
     """
 
-    n_features: int = 5000
-    trial_features: int = 2000
+    n_features: Count = 5000
+    trial_features: Count = 2000
     detector: str = "phase-congruency"
     descriptor: str = "max-index-map"
     nearest: str = "brute-force"
-    patch: float = 84.0
-    largest: float = 2.0
-    step: float = 1.3
-    halvings: int = 2
-    threshold: float = 4.0
-    ambiguity: float = 0.6
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if self.n_features < 1 or self.trial_features < 1 or min(self.seed, self.halvings) < 0:
-            raise ParameterError(
-                "scale-search needs n_features >= 1, trial_features >= 1, halvings >= 0 and seed >= 0, got "
-                f"{self.n_features}, {self.trial_features}, {self.halvings} and {self.seed}"
-            )
-        if not (1 <= self.largest <= 16 and 1 < self.step <= 4 and self.threshold > 0 and 0 < self.ambiguity <= 1):
-            raise ParameterError(
-                "scale-search needs largest from 1 to 16, step above 1 and up to 4, threshold > 0 and ambiguity above "
-                f"0 and up to 1, got {self.largest}, {self.step}, {self.threshold} and {self.ambiguity}"
-            )
+    patch: Positive = 84.0
+    largest: Annotated[float, Interval(ge=1, le=16)] = 2.0
+    step: Annotated[float, Interval(gt=1, le=4)] = 1.3
+    halvings: Annotated[int, Ge(0)] = 2
+    threshold: Positive = 4.0
+    ambiguity: Share = 0.6
+    seed: Annotated[int, Ge(0)] = 0
 
     @property
     def ratios(self) -> tuple[float, ...]:

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
+from typing import Annotated, Literal
 
 import numpy as np
+from annotated_types import Ge
 
-from featreg.errors import ParameterError, suggest
 from featreg.geometry import Rigid
 from featreg.interfaces import Matcher
 from featreg.registry import register
+from featreg.runtime.parameters import Count, Positive, Probability, Share
 from featreg.runtime.timing import stage
 from featreg.sar.obcls.association import Association, Map, fourier_mellin, nearest, outstanding, verified, vote
 from featreg.sar.obcls.cancellation import cancelled_fit
+from featreg.sar.obcls.cfar import Guard, Method, Trim, check_window
 from featreg.sar.obcls.patch_location import PatchLocation, check_samples
-from featreg.sar.obcls.targets import targets
+from featreg.sar.obcls.targets import Order, Side, targets
 from featreg.types import FloatArray, Image, Matches
-
-TIE_POINTS = ("c", "cc", "rc")
-ASSOCIATIONS = ("vote", "nearest", "fourier-mellin")
 
 logger = logging.getLogger(__name__)
 
@@ -41,8 +41,17 @@ class TargetCentroids(Matcher):
     subpixel : whether the correlation peak is interpolated
     centred : "common" (both patches around the reference target) or "each" (each around its own), in a first pass
         without alignment
-    cfar, pfa, guard, train, looks, rank, trim : method and parameters of `featreg.sar.obcls.cfar.detect`
-    order, median, min_area, zeros_are_data : of `featreg.sar.obcls.targets.targets`
+    cfar : how clutter is estimated (`featreg.sar.obcls.cfar`): "ca" (mean), "goca" and "soca" (greatest and smallest
+        side), "os" (order statistic), "tm" (trimmed mean), "cs" (censored mean)
+    pfa : probability of false alarm in homogeneous clutter
+    guard, train : cells on each side of the tested one that are left out, and cells beyond them that are trained on
+    looks : of the intensity
+    rank : of "os", as a share of the training cells
+    trim : share of the training cells that "tm" leaves out at both ends, "cs" at the upper
+    order : of the 5 x 5 order filter that fills targets, from the smallest
+    median : side of the median filter that removes what is small, px; 1 for none
+    min_area : fewest pixels of a target
+    zeros_are_data : whether areas of exactly zero amplitude are data
     chance : log10 of the expected number of associations as good in a random scene, at most, for "vote" and
         "fourier-mellin"; else there are no tie points
     n_features : most targets per image, the largest first
@@ -66,41 +75,29 @@ class TargetCentroids(Matcher):
     leaves at 1: the mean error falls from 0.032 to 0.027 degrees on real couples, and not on simulated ones.
     """
 
-    tie_points: str = "rc"
-    association: str = "vote"
-    passes: int = 3
-    patch: int = 96
-    patch_width: int = 0
+    tie_points: Literal["c", "cc", "rc"] = "rc"
+    association: Literal["vote", "nearest", "fourier-mellin"] = "vote"
+    passes: Count = 3
+    patch: Annotated[int, Ge(4)] = 96
+    patch_width: Annotated[int, Ge(0)] = 0
     subpixel: bool = True
-    centred: str = "common"
-    cfar: str = "ca"
-    pfa: float = 1e-2
-    guard: int = 8
-    train: int = 8
-    looks: float = 1.0
-    rank: float = 0.75
-    trim: float = 0.25
-    order: int = 17
-    median: int = 7
-    min_area: int = 1
+    centred: Literal["common", "each"] = "common"
+    cfar: Method = "ca"
+    pfa: Probability = 1e-2
+    guard: Guard = 8
+    train: Count = 8
+    looks: Positive = 1.0
+    rank: Share = 0.75
+    trim: Trim = 0.25
+    order: Order = 17
+    median: Side = 7
+    min_area: Count = 1
     zeros_are_data: bool = False
     chance: float = -4.0
-    n_features: int = 5000
+    n_features: Count = 5000
 
     def __post_init__(self) -> None:
-        for what, given, known in (
-            ("tie_points", self.tie_points, TIE_POINTS),
-            ("association", self.association, ASSOCIATIONS),
-            ("centred", self.centred, ("common", "each")),
-        ):
-            if given not in known:
-                raise ParameterError(f"target-centroids: unknown {what} '{given}', {suggest(given, known)}")
-        if self.passes < 1 or self.patch < 4 or self.patch_width < 0 or self.n_features < 1:
-            raise ParameterError(
-                "target-centroids needs passes >= 1, patch >= 4, patch_width >= 0 and n_features >= 1, got "
-                f"{self.passes}, {self.patch}, {self.patch_width} and {self.n_features}"
-            )
-        self._targets(Image(np.zeros((1, 1), np.float32), np.ones((1, 1), np.bool_)))
+        check_window(self.guard, self.train)
 
     @property
     def complex_only(self) -> bool:

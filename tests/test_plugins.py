@@ -26,6 +26,8 @@ Texture = Callable[..., NDArray[np.float32]]
 KINDS = ("detector", "descriptor", "nearest", "filter")
 EVERY = [(kind, name) for kind in KINDS for name in registry.available(kind)]
 every = pytest.mark.parametrize(("kind", "name"), EVERY, ids=[f"{k}:{n}" for k, n in EVERY])
+PLUGINS = [*EVERY, *(("matcher", name) for name in registry.available("matcher"))]
+with_matchers = pytest.mark.parametrize(("kind", "name"), PLUGINS, ids=[f"{k}:{n}" for k, n in PLUGINS])
 detectors = pytest.mark.parametrize("name", registry.available("detector"))
 descriptors = pytest.mark.parametrize("name", registry.available("descriptor"))
 filters = pytest.mark.parametrize("name", registry.available("filter"))
@@ -169,6 +171,31 @@ def test_values_of_the_wrong_type_are_refused(kind: str, name: str) -> None:
         if isinstance(default, int | float) and not isinstance(default, bool):
             with pytest.raises(ParameterError):
                 registry.create(kind, name, **{key: "many"})  # type: ignore[call-overload]
+
+
+@with_matchers
+def test_values_beyond_what_is_declared_are_refused_whoever_constructs(kind: str, name: str) -> None:
+    entry = registry.entry(kind, name)
+    makers: list[Callable[..., Any]] = [lambda **given: registry.create(kind, name, **given)]  # type: ignore[call-overload]
+    makers += [entry.factory] if isinstance(entry.factory, type) else []
+    for key, parameter in entry.declared.items():
+        assert parameter.allows(parameter.default), key
+        beyond: list[Any] = ["no such choice", None] if parameter.choices else []
+        beyond += [-np.inf, np.inf, np.nan] if parameter.kind is float else []
+        beyond += [-(10**9), 10**9, 1.5, True] if parameter.kind is int else []
+        for value in beyond:
+            for make in makers if not parameter.allows(value) else []:
+                with pytest.raises(ParameterError, match=re.escape(f"'{name}.{key}' must be ")):
+                    make(**{key: value})
+
+
+@with_matchers
+def test_numbers_of_our_own_have_a_declared_range_and_a_meaning(kind: str, name: str) -> None:
+    entry = registry.entry(kind, name)
+    if isinstance(entry.factory, type):
+        free = [key for key, one in entry.declared.items() if one.kind in (int, float) and not one.bounds]
+        assert free == (["chance"] if name == "target-centroids" else [])
+        assert all(one.meaning for one in entry.declared.values())
 
 
 # Detectors

@@ -2,20 +2,32 @@
 
 from __future__ import annotations
 
+import importlib
+import re
 import sys
 import textwrap
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pytest
+from annotated_types import Interval
 
 from featreg import registry
-from featreg.errors import FeatregError, ParameterError, PluginError, PluginUnavailableError, UnknownNameError
+from featreg.errors import (
+    DuplicatePluginError,
+    FeatregError,
+    ParameterError,
+    PluginError,
+    PluginUnavailableError,
+    UnknownNameError,
+)
 from featreg.interfaces import Detector, Filter, FilterContext, Matcher
+from featreg.pipeline.assembly import assemble
+from featreg.runtime.parameters import Parameter
 from featreg.types import BoolArray, Features, Image, Matches
 
 NAMES = {
@@ -167,6 +179,117 @@ def test_a_foreign_plugin_that_breaks_the_rules_hides_only_itself(scratch: Any) 
 
     registry._import("foreign.careless", load)
     assert "count" in registry.broken()["foreign.careless"]
+
+
+def test_a_plugin_that_is_no_dataclass_is_checked_in_both_ways_of_making_it(scratch: Any) -> None:
+    @registry.register("some-of-them")
+    class Some(Nothing):
+        def __init__(self, count: Annotated[int, Interval(ge=1, le=9)] = 3, share: float = 0.5) -> None:
+            self.count, self.share = count, share
+
+    makers: list[Callable[..., Any]] = [Some, lambda **given: registry.create("detector", "some-of-them", **given)]
+    for make in makers:
+        assert make(count=np.int32(9), share=1).count == 9
+        with pytest.raises(ParameterError, match=r"'some-of-them\.count' must be a whole number from 1 to 9, got 10"):
+            make(count=10)
+        with pytest.raises(ParameterError, match=r"'some-of-them\.share' must be a number, got True"):
+            make(share=True)
+
+
+def test_a_family_declares_its_parameters_in_its_table(scratch: Any) -> None:
+    registry.register_family(
+        "detector",
+        "of-a-family",
+        lambda **given: Nothing(**given),
+        {"count": Parameter.of(Annotated[int, Interval(ge=1)], 4, "how many"), "fast": True},
+        summary="One of many",
+        module="somewhere",
+    )
+    found = registry.entry("detector", "of-a-family")
+    assert found.parameters == {"count": 4, "fast": True}
+    assert found.declared["count"].meaning == "how many"
+    wrong: dict[str, Any]
+    for wrong in ({"count": 0}, {"fast": 1}):
+        with pytest.raises(ParameterError, match=f"'of-a-family\\.{next(iter(wrong))}' must be "):
+            registry.create("detector", "of-a-family", **wrong)
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "words"),
+    [
+        ("method", "sar-ofast", "unknown method 'sar-ofast': that is a detector, not a method; did you mean "),
+        ("detector", "brief", "unknown detector 'brief': that is a descriptor, not a detector; "),
+        ("filter", "orb", "unknown filter 'orb': that is a detector and a descriptor and a method, not a filter; "),
+        ("method", "sar-obr", "unknown method 'sar-obr', did you mean 'sar-orb'"),
+    ],
+)
+def test_a_name_of_another_kind_is_told_so(kind: str, name: str, words: str) -> None:
+    assert str(registry.unknown(kind, name)).startswith(words)
+    with pytest.raises(UnknownNameError, match=re.escape(words)):
+        assemble(name) if kind == "method" else registry.entry(kind, name)
+
+
+PLUGIN = '''
+from featreg.interfaces import Detector
+from featreg.registry import register
+from featreg.types import Features
+
+@register("{name}")
+class Found(Detector):
+    """Of a package."""
+    def detect_features(self, image):
+        return Features.empty()
+'''
+
+
+@pytest.fixture
+def modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A folder on the path; its modules, called outside_..., are forgotten afterwards."""
+    monkeypatch.syspath_prepend(tmp_path)
+    yield tmp_path
+    for name in [name for name in sys.modules if name.startswith("outside_")]:
+        del sys.modules[name]
+
+
+def load(name: str) -> None:
+    registry._import(name, lambda: importlib.import_module(name))
+
+
+def test_an_entry_point_of_a_name_that_is_taken_hides_only_itself(scratch: Any, modules: Path) -> None:
+    (modules / "outside_twice.py").write_text(PLUGIN.format(name="sar-ofast"))
+    load("outside_twice")
+    reason = registry.broken()["outside_twice"]
+    assert "two plugins are called detector 'sar-ofast': featreg.detectors.sar_ofast and outside_twice" in reason
+    assert registry.entry("detector", "sar-ofast").module == "featreg.detectors.sar_ofast"
+    assert registry.create("detector", "sar-ofast")
+    with pytest.raises(UnknownNameError, match="outside_twice could not be imported"):
+        registry.create("detector", "no-such-thing")
+
+
+def test_a_name_of_ours_that_the_caller_took_is_the_caller_s_mistake(scratch: Any) -> None:
+    class Mine(Nothing):
+        """Mine."""
+
+    def again() -> None:
+        registry.register("sar-ofast")(Mine)
+
+    with pytest.raises(DuplicatePluginError, match=r"featreg\.detectors\.sar_ofast"):
+        registry._import("featreg.detectors.sar_ofast", again, ours=True)
+    assert not registry.broken()
+
+
+def test_a_module_that_fails_after_it_registered_is_all_or_nothing(scratch: Any, modules: Path) -> None:
+    (modules / "outside_good.py").write_text(PLUGIN.format(name="stands-alone"))
+    (modules / "outside_late.py").write_text(f"import outside_good\n{PLUGIN.format(name='too-early')}\n1 / 0\n")
+    (modules / "outside_quits.py").write_text(f"{PLUGIN.format(name='quitter')}\nraise SystemExit(1)\n")
+    load("outside_late")
+    load("outside_quits")
+    load("outside_good")
+    names = registry.available("detector")
+    assert not {"too-early", "quitter"} & set(names)
+    assert "stands-alone" in names  # it was imported whole, by a module that failed later
+    assert "division by zero" in registry.broken()["outside_late"]
+    assert "SystemExit" in registry.broken()["outside_quits"]
 
 
 def test_entry_points_of_other_packages_are_found(tmp_path: Path) -> None:

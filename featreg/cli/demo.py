@@ -1,4 +1,4 @@
-"""The whole job on a simulated pair whose truth is known: register, compare with OpenCV, draw, write."""
+"""`featreg demo`: on a simulated pair with known truth, register, compare with OpenCV, draw, write."""
 
 from __future__ import annotations
 
@@ -6,9 +6,15 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-from featreg.results.registration import Registration
-from featreg.study.table import Table
+import typer
+
+from featreg.cli.options import COMPILING, check_folder, progress
+
+if TYPE_CHECKING:
+    from featreg.results.registration import Registration
+    from featreg.study.table import Table
 
 METHODS = ("sar-orb", "orb", "akaze")
 SHAPE = (600, 600)
@@ -28,6 +34,37 @@ class Demonstration:
     registration: Registration
     table: Table
     files: Sequence[tuple[Path, str]]
+
+
+def demo(
+    out: Annotated[
+        str, typer.Option("--out", metavar="DIR", help="Folder for images, pictures and results.")
+    ] = "featreg-demo",
+) -> None:
+    """Try everything on a simulated pair.
+
+    Simulates two SAR images with known truth, registers them, compares the method with two of OpenCV and draws the
+    result.
+    """
+    folder = Path(out)
+    check_folder(folder if folder.exists() else folder.absolute().parent, f"--out '{out}'")
+    from featreg.warming import ready
+
+    if not ready():
+        typer.echo(f"{COMPILING} ...", err=True)
+    made = demonstrate(folder, progress=progress)
+    typer.echo("Two simulated SAR images of 600 x 600 pixels, 4 looks, turned by 6 degrees, scaled by 1.02:\n")
+    typer.echo(made.table.to_markdown())
+    typer.echo("Files:")
+    for path, what in made.files:
+        typer.echo(f"  {path!s:<36} {what}")
+    reference, secondary, truth = (folder / name for name in ("reference.tif", "secondary.tif", "truth.json"))
+    typer.echo("\nTry next:")
+    typer.echo(f"  featreg match {reference} {secondary} --plot mine.png")
+    typer.echo(f"  featreg compare {reference} {secondary} --methods sar-orb,sift --truth {truth}")
+    if made.table.failed:
+        raise typer.Exit(4)
+    raise typer.Exit(0 if made.registration.status == "ok" else 3)
 
 
 def demonstrate(

@@ -1,15 +1,20 @@
-"""What this installation is made of: versions, cores, compiled kernels, OpenCV's algorithms, hidden plugins, extras."""
+"""`featreg doctor`: versions, cores, compiled kernels, OpenCV's algorithms, hidden plugins, extras."""
 
 from __future__ import annotations
 
+import json
 import os
 import platform
 import re
+import shutil
 import sys
+import textwrap
 from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+import typer
 
 from featreg._version import __version__
 
@@ -23,6 +28,50 @@ OPENCV = (
     "opencv-python",
 )
 MISSING = "not installed"
+
+
+def doctor(as_json: Annotated[bool, typer.Option("--json", help="Print JSON for machines.")] = False) -> None:
+    """Show what this installation is made of.
+
+    Versions, cores and threads, compiled kernels, where OpenCV keeps what, plugins that cannot be used here and why,
+    and extras that are not installed.
+    """
+    found = examine()
+    if as_json:
+        typer.echo(json.dumps(found, indent=2))
+        return
+    _section("versions", found["versions"])
+    _section("threads", found["threads"])
+    cached: Mapping[str, bool] = found["kernels"]["cached"]
+    cold = [name for name, warm in cached.items() if not warm]
+    state = f"{len(cached) - len(cold)} of {len(cached)} modules compiled, kept in {found['kernels']['folder']}"
+    _section("kernels", {"": state})
+    if cold:
+        _section("", {"": f"compiled when first used: {', '.join(cold)}"})
+    where = found["opencv"]
+    homes = {home: [n for n, w in where.items() if w == home] for home in ("cv2", "cv2.xfeatures2d")}
+    _section("OpenCV", {home: ", ".join(names) for home, names in homes.items() if names})
+    _section("", {name: reason for name, reason in where.items() if reason not in homes})
+    _section("plugins that cannot be used here", found["unavailable"] or {"": "none"})
+    _section("plugins that cannot be imported", found["hidden_plugins"] or {"": "none"})
+    extras = {
+        name: f"missing {', '.join(e['missing'])}; install with: {e['install']}" if e["missing"] else "installed"
+        for name, e in found["extras"].items()
+    }
+    _section("extras", extras or {"": "none declared"})
+
+
+def _section(title: str, values: Mapping[str, Any]) -> None:
+    if title:
+        typer.echo(title)
+    width = max((len(name) for name in values), default=0)
+    columns = max(60, min(shutil.get_terminal_size().columns, 120))
+    for name, value in values.items():
+        head = f"  {name:<{width}}  " if name else "  "
+        text = textwrap.fill(
+            str(value), columns, initial_indent=head, subsequent_indent=" " * len(head), break_on_hyphens=False
+        )
+        typer.echo(text)
 
 
 def examine() -> dict[str, Any]:

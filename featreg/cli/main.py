@@ -11,12 +11,13 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Sequence
+from contextlib import redirect_stderr, redirect_stdout
 from typing import Annotated, Any
 
 import typer
 
 from featreg._version import __version__
-from featreg.cli import compare, export, focus, info, mark, match, sweep, warp
+from featreg.cli import compare, demo, doctor, export, focus, listing, mark, match, sweep, warp
 from featreg.errors import FeatregError, UnknownNameError, suggest
 
 COMMANDS: dict[str, Callable[..., None]] = {
@@ -27,9 +28,9 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "export": export.export,
     "focus": focus.focus,
     "mark": mark.mark,
-    "list": info.list_plugins,
-    "demo": info.demo,
-    "doctor": info.doctor,
+    "list": listing.list_names,
+    "demo": demo.demo,
+    "doctor": doctor.doctor,
 }
 HELP = "Register SAR images: tie points, a geometric model and a verdict on whether to trust it."
 
@@ -61,6 +62,12 @@ root.__doc__ = HELP
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code; `arguments` defaults to those of the process."""
     given = list(sys.argv[1:] if arguments is None else arguments)
+    out, err = (_Output(stream) for stream in (sys.stdout, sys.stderr))
+    with redirect_stdout(out), redirect_stderr(err):
+        return _run(given)
+
+
+def _run(given: Sequence[str]) -> int:
     notes = _Notes()
     logger = logging.getLogger("featreg")
     logger.addHandler(notes)
@@ -73,6 +80,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return 130
     except SystemExit as stop:
+        # The library that parses the command line takes every broken pipe for that of its output.
+        if isinstance(stop.__context__, BrokenPipeError):
+            return _explain(stop.__context__, given)
         code = stop.code
     except Exception as error:
         return _explain(error, given)
@@ -121,6 +131,35 @@ def _usage(error: Any, arguments: Sequence[str]) -> str:
         return f"unknown option '{name}' of '{path}', {suggest(name, options)}"
     text = str(error.format_message()).strip().rstrip(".")
     return f"{text[:1].lower()}{text[1:]}; see '{path} --help'"
+
+
+class _Output:
+    """A stream whose reader may leave (`| head`): the command works on, and its exit code tells of that work."""
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        try:
+            return int(self._stream.write(text))
+        except BrokenPipeError:
+            self._leave()
+            return len(text)
+
+    def flush(self) -> None:
+        try:
+            self._stream.flush()
+        except BrokenPipeError:
+            self._leave()
+
+    def _leave(self) -> None:
+        """Send what is written from now on, and what is still held back, nowhere."""
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, self._stream.fileno())
+        os.close(nowhere)
 
 
 class _Notes(logging.Handler):

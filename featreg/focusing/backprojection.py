@@ -7,12 +7,13 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from featreg.errors import InputError, ParameterError, PluginUnavailableError, suggest
+from featreg.errors import InputError, ParameterError, PluginUnavailableError
+from featreg.runtime.parameters import Count, checked
 from featreg.types import FloatArray, Image, read_only
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ ROWS = 24
 GUARD = 2
 #: Pedestal of the raised cosine by name; "none" weights all samples the same.
 WINDOWS = {"hamming": 0.54, "hann": 0.5, "none": 1.0}
-BACKENDS = ("numba", "torch")
+Window = Literal["hamming", "hann", "none"]
 
 F32 = NDArray[np.float32]
 C64 = NDArray[np.complex64]
@@ -94,16 +95,17 @@ class GroundGrid:
         return np.column_stack([off @ self.step, -(off @ up)]) + middle
 
 
+@checked("back_project")
 def back_project(
     history: PhaseHistory,
     grid: GroundGrid | None = None,
     *,
-    range_window: str = "hamming",
-    azimuth_window: str = "hamming",
-    upsampling: int = 16,
-    backend: str = "numba",
+    range_window: Window = "hamming",
+    azimuth_window: Window = "hamming",
+    upsampling: Count = 16,
+    backend: Literal["numba", "torch"] = "numba",
     device: str | None = None,
-    workers: int = 1,
+    workers: Count = 1,
 ) -> Image:
     """Form the complex image of a phase history on the ground.
 
@@ -141,13 +143,6 @@ def back_project(
     ----------
     L. A. Gorham, L. J. Moore, SAR image formation toolbox for MATLAB, Proc. SPIE 7699, 2010, doi:10.1117/12.855375
     """
-    for window in (range_window, azimuth_window):
-        if window not in WINDOWS:
-            raise ParameterError(f"unknown window '{window}', {suggest(window, WINDOWS)}")
-    if backend not in BACKENDS:
-        raise ParameterError(f"unknown backend '{backend}', {suggest(backend, BACKENDS)}")
-    if upsampling < 1 or workers < 1:
-        raise ParameterError(f"upsampling and workers must be at least 1, got {upsampling} and {workers}")
     if device is not None and backend != "torch":
         raise ParameterError(f"device '{device}' needs backend='torch'")
     plan = _Plan.of(history, grid or GroundGrid(), range_window, azimuth_window, upsampling)

@@ -11,9 +11,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import ArrayLike, NDArray
 
 from featreg.errors import CancelledError, InputError, ParameterError, suggest
@@ -27,6 +28,7 @@ from featreg.focusing.result import FocusResult
 from featreg.interfaces import Detector
 from featreg.io import SMALLEST, ImageLike, as_image
 from featreg.registry import create, entry
+from featreg.runtime.parameters import Count, Share, checked
 from featreg.types import BoolArray, FloatArray, Gate, Image, IntArray, read_only
 
 C64 = NDArray[np.complex64]
@@ -61,19 +63,20 @@ class _Settings:
     each: Callable[[int], None]
 
 
+@checked("focus")
 def focus(
     image: ImageLike,
     method: str = "auto",
     *,
-    azimuth_axis: int = 0,
-    fraction: float | None = None,
+    azimuth_axis: Annotated[int, Interval(ge=0, le=1)] = 0,
+    fraction: Share | None = None,
     normalize: bool = True,
     detector: str | Detector = "prewitt",
-    max_iterations: int = 60,
+    max_iterations: Count = 60,
     detrend: bool = False,
     carrier: ArrayLike | None = None,
     range_blocks: int = 1,
-    workers: int | None = None,
+    workers: Count | None = None,
     progress: Progress | None = None,
     cancel: threading.Event | None = None,
 ) -> FocusResult:
@@ -301,14 +304,6 @@ def _settings(
 ) -> _Settings:
     if method not in METHODS:
         raise ParameterError(f"unknown autofocus method {method!r}, {suggest(str(method), METHODS)}")
-    if azimuth_axis not in (0, 1):
-        raise ParameterError(f"azimuth_axis must be 0 (down the columns) or 1 (along the rows), got {azimuth_axis!r}")
-    if fraction is not None and not (isinstance(fraction, int | float | np.number) and 0 < fraction <= 1):
-        raise ParameterError(f"fraction must lie in (0, 1], got {fraction!r}")
-    if not isinstance(max_iterations, int | np.integer) or max_iterations < 1:
-        raise ParameterError(f"max_iterations must be a whole number >= 1, got {max_iterations!r}")
-    if workers is not None and (not isinstance(workers, int | np.integer) or workers < 1):
-        raise ParameterError(f"workers must be a whole number >= 1, got {workers!r}")
     if isinstance(detector, str):
         entry("detector", detector)
     elif not isinstance(detector, Detector):

@@ -22,6 +22,7 @@ from featreg.geometry.corrected import CorrectedModel
 from featreg.geometry.matrix import Affine, Translation
 from featreg.interfaces import FailedFit, Model
 from featreg.registry import register
+from featreg.runtime.parameters import check
 from featreg.types import FloatArray
 
 Kind = Literal["affine", "shift"]
@@ -87,7 +88,7 @@ class RpcBias(CorrectedModel, metaclass=_Bindable):
         good = isinstance(self.reference, Sensor) and isinstance(self.secondary, Sensor)
         if not (good and isinstance(self.heights, Heights)):
             raise InputError("rpc-bias needs two sensors and heights, or the dicts that they write")
-        _check_kind(self.kind)
+        check("kind", self.kind, Kind)
         put(self, "bias", coefficient_array(self.bias, (2, 3), "RpcBias.bias"))
         Affine(self.bias)  # refuses a map that cannot be inverted
 
@@ -103,7 +104,7 @@ class RpcBias(CorrectedModel, metaclass=_Bindable):
         heights : of the ground; None for height 0
         kind : "affine" or "shift"
         """
-        _check_kind(kind)
+        check("kind", kind, Kind)
         transfer = Transfer(reference, secondary, heights or ConstantHeight())
         return _bound(transfer, kind)
 
@@ -221,11 +222,6 @@ class InverseRpcBias(DerivedModel):
     @property
     def parameters(self) -> Mapping[str, Any]:
         return {"forward": self.forward}
-
-
-def _check_kind(kind: str) -> None:
-    if kind not in CORRECTIONS:
-        raise ParameterError(f"the kind of a bias must be 'affine' or 'shift', got {kind!r}")
 
 
 def _bound(transfer: Transfer, kind: Kind) -> type[RpcBias]:

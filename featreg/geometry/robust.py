@@ -7,15 +7,17 @@ from __future__ import annotations
 
 import logging
 import math
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
+from annotated_types import Ge
 from numpy.typing import NDArray
 
 from featreg.errors import InputError, ParameterError
 from featreg.geometry import Affine, Homography, Rigid, Similarity, Translation
 from featreg.geometry.corrected import CorrectedModel
 from featreg.interfaces import FailedFit, Model
+from featreg.runtime.parameters import Count, Positive, Probability, checked
 from featreg.types import BoolArray, FloatArray, IntArray, points
 
 M = TypeVar("M", bound=Model)
@@ -30,17 +32,18 @@ MEDIAN_LENGTH = math.sqrt(2.0 * math.log(2.0))
 logger = logging.getLogger(__name__)
 
 
+@checked("")
 def fit_consensus(
     model_class: type[M],
     reference_xy: FloatArray,
     secondary_xy: FloatArray,
     *,
-    threshold: float,
+    threshold: Positive,
     rng: np.random.Generator,
     candidates: NDArray[np.integer] | None = None,
-    iterations: int = 2000,
-    confidence: float = 0.999,
-    widening: float = 4.0,
+    iterations: Count = 2000,
+    confidence: Probability = 0.999,
+    widening: Annotated[float, Ge(1)] = 4.0,
 ) -> tuple[M | FailedFit, BoolArray]:
     """Fit a model to the largest set of tie points that agree with each other.
 
@@ -91,7 +94,6 @@ def fit_consensus(
     reference, secondary = points(reference_xy, "reference_xy"), points(secondary_xy, "secondary_xy")
     if len(reference) != len(secondary):
         raise InputError(f"as many reference as secondary points are needed, got {len(reference)}, {len(secondary)}")
-    _check_parameters(threshold, iterations, confidence, widening)
     if isinstance(model_class, type) and issubclass(model_class, CorrectedModel):
         return _fit_correction(
             model_class, reference, secondary, threshold=threshold, rng=rng, candidates=candidates,
@@ -150,17 +152,6 @@ def _fit_correction(
     inliers = np.zeros(len(good), np.bool_)
     inliers[good] = kept
     return fitted if isinstance(fitted, FailedFit) else model_class.with_correction(fitted), inliers
-
-
-def _check_parameters(threshold: float, iterations: int, confidence: float, widening: float) -> None:
-    if not (threshold > 0 and math.isfinite(threshold)):
-        raise ParameterError(f"threshold must be > 0 px, got {threshold}")
-    if iterations < 1:
-        raise ParameterError(f"iterations must be >= 1, got {iterations}")
-    if not 0 < confidence < 1:
-        raise ParameterError(f"confidence must lie between 0 and 1, got {confidence}")
-    if not widening >= 1:
-        raise ParameterError(f"widening must be >= 1, got {widening}")
 
 
 def _search(
@@ -239,14 +230,15 @@ def _polish(
     return best
 
 
+@checked("")
 def irls(
     model_class: type[M],
     reference_xy: FloatArray,
     secondary_xy: FloatArray,
     *,
     weights: FloatArray | None = None,
-    scale_px: float = 0.1,
-    iterations: int = 30,
+    scale_px: Positive = 0.1,
+    iterations: Count = 30,
 ) -> tuple[M | FailedFit, FloatArray]:
     """Fit a model by iteratively reweighted least squares with Tukey's biweight.
 
@@ -275,8 +267,6 @@ def irls(
     two dimensions. With prior weights the residuals are first multiplied by the square roots of the weights over
     their mean.
     """
-    if not scale_px > 0 or iterations < 1:
-        raise ParameterError(f"scale_px must be > 0 and iterations >= 1, got {scale_px} and {iterations}")
     reference, secondary = points(reference_xy, "reference_xy"), points(secondary_xy, "secondary_xy")
     prior = np.ones(len(reference)) if weights is None else np.asarray(weights, np.float64)
     model = model_class.from_estimate(reference, secondary, prior)

@@ -2,7 +2,7 @@
 
 A room's file holds the table and one class that runs any row of it:
 
-    TABLE = {"toy-corners": Row("Corners", "Corners of toys", {**N_FEATURES, "k": Parameter(0.04, Gt(0))})}
+    TABLE = {"toy-corners": Row("Corners", "Corners of toys", {**N_FEATURES, "k": option(0.04, Gt(0))})}
 
     @register_table
     class ToyDetector(Part, Detector):
@@ -15,72 +15,61 @@ A library of its own kind extends `Row`: how it is built, why it cannot be had, 
 
 from __future__ import annotations
 
-import operator
-from collections.abc import Callable, Mapping
-from dataclasses import astuple, dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
 import numpy as np
-from annotated_types import BaseMetadata, Ge, GroupedMetadata, Gt, Le, Lt, MultipleOf
+from annotated_types import Ge
 
 from featreg.errors import ParameterError, suggest
-from featreg.registry import check_type, kind_of, register_family
+from featreg.registry import kind_of, register_family
+from featreg.runtime.parameters import Parameter
 from featreg.sar.normalise import METHODS
 from featreg.types import Features
 
-#: Limits in words, and whether a value keeps them; NaN keeps none.
-LIMITS: Mapping[type, tuple[str, Callable[[Any, Any], bool]]] = {
-    Ge: ("at least", operator.ge),
-    Gt: ("above", operator.gt),
-    Le: ("at most", operator.le),
-    Lt: ("below", operator.lt),
-    MultipleOf: ("a multiple of", lambda value, step: value % step == 0),
-}
-
 
 @dataclass(frozen=True)
-class Parameter:
-    """One parameter of a row.
+class Option(Parameter):
+    """A parameter of a row: what is declared of it, and what the library calls it.
 
     Parameters
     ----------
-    default : its default; values must be of the same type, or a file's path or None where it is None
-    limit : the range of its values: `Ge`, `Gt`, `Le`, `Lt`, `Interval` or `MultipleOf` of annotated_types
-    choices : the values it may have, or each of them with what the library calls it
-    meaning : one line
-    keyword : the library's own name of it, "" where it does not reach the library under a name
+    keyword : the library's own name of it; "" where it does not reach the library under a name
+    constants : choice -> what the library calls that
     """
 
-    default: Any
-    limit: BaseMetadata | GroupedMetadata | None = field(default=None, hash=False)
-    choices: Mapping[Any, Any] | tuple[Any, ...] = field(default=(), hash=False)
-    meaning: str = ""
     keyword: str = ""
+    constants: Mapping[Any, Any] = field(default_factory=dict, hash=False)
 
-    def checked(self, name: str, value: Any) -> Any:
-        """Return a value as a plugin keeps it: of the default's type, a path as text.
 
-        Raises
-        ------
-        ParameterError
-            It is of another type, out of range or not among the choices.
-        """
-        if self.default is None:
-            if not isinstance(value, str | Path | None):
-                raise ParameterError(f"'{name}' must be the path of a file or None, got {value!r}")
-            return None if value is None else str(value)
-        if self.choices and value not in tuple(self.choices):
-            raise ParameterError(f"'{name}' must be one of {', '.join(map(repr, self.choices))}, got {value!r}")
-        check_type(name, value, self.default)
-        limits = self.limit if isinstance(self.limit, GroupedMetadata) else filter(None, [self.limit])
-        for limit in limits:
-            words, holds = LIMITS[type(limit)]
-            (bound,) = astuple(limit)  # type: ignore[call-overload]
-            if not holds(value, bound):
-                raise ParameterError(f"'{name}' must be {words} {bound}, got {value!r}")
-        return type(self.default)(value) if isinstance(self.default, int | float) else value
+class File(Option):
+    """The path of a file, as text or `Path`, or None."""
+
+    def allows(self, value: Any) -> bool:
+        return isinstance(value, str | Path | None)
+
+    @property
+    def wanted(self) -> str:
+        return "the path of a file or None"
+
+
+def option(default: Any, limit: Any = None, *, choices: Any = (), meaning: str = "", keyword: str = "") -> Option:
+    """Declare a parameter of a row.
+
+    Parameters
+    ----------
+    default : its default; values must be of the same type
+    limit : the range of its values: `Ge`, `Gt`, `Le`, `Lt`, `Interval`, `MultipleOf` or `Predicate` of annotated_types
+    choices : the values it may have, or each of them with what the library calls it
+    meaning : one line
+    keyword : the library's own name of it
+    """
+    annotation: Any = Literal[tuple(choices)] if choices else Annotated[type(default), limit]
+    constants = choices if isinstance(choices, Mapping) else {}
+    return Option(**vars(Parameter.of(annotation, default, meaning)), keyword=keyword, constants=constants)
 
 
 @dataclass(frozen=True)
@@ -96,7 +85,7 @@ class Row:
 
     creator: str
     summary: str
-    parameters: Mapping[str, Parameter] = field(hash=False)
+    parameters: Mapping[str, Option] = field(hash=False)
 
     @property
     def defaults(self) -> dict[str, Any]:
@@ -143,7 +132,9 @@ class Part:
         for key, value in self.parameters.items():
             if key not in known:
                 raise ParameterError(f"{self.name} has no parameter '{key}', {suggest(key, known)}")
-            values[key] = known[key].checked(f"{self.name}.{key}", value)
+            known[key].check(f"{self.name}.{key}", value)
+            plain = isinstance(known[key].default, int | float)
+            values[key] = type(known[key].default)(value) if plain else str(value) if isinstance(value, Path) else value
         object.__setattr__(self, "parameters", values)
         vars(self).update(values)
 
@@ -174,7 +165,7 @@ def register_table(cls: P) -> P:
             kind,
             name,
             partial(cls.made, name),
-            row.defaults,
+            row.parameters,
             summary=row.summary,
             module=cls.__module__,
             unavailable=row.unavailable,
@@ -193,7 +184,7 @@ def best_first(features: Features, count: int) -> Features:
 
 
 #: What many rows share.
-N_FEATURES = {"n_features": Parameter(5000, Ge(1), meaning="at most so many features, best first")}
-DESCRIBE = {"describe": Parameter(True, meaning="return descriptors with the points")}
-NORMALISE = {"normalise": Parameter("auto", choices=METHODS, meaning="how amplitude becomes 8 bits")}
-WEIGHTS = Parameter(None, meaning="file of trained weights; None takes those that the library downloads")
+N_FEATURES = {"n_features": option(5000, Ge(1), meaning="at most so many features, best first")}
+DESCRIBE = {"describe": option(True, meaning="return descriptors with the points")}
+NORMALISE = {"normalise": option("auto", choices=METHODS, meaning="how amplitude becomes 8 bits")}
+WEIGHTS = File(meaning="file of trained weights; None takes those that the library downloads")

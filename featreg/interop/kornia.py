@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import socket
 import threading
-import urllib.request
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
-from importlib.metadata import PackageNotFoundError, version
+from functools import cache, lru_cache
+from importlib import metadata
 from importlib.util import find_spec
 from os import environ
 from pathlib import Path
@@ -21,9 +20,11 @@ from typing import Any, ClassVar
 from annotated_types import Ge
 
 from featreg.errors import InputError, ParameterError, PluginUnavailableError
-from featreg.interop.family import NORMALISE, Parameter, Part, Row
+from featreg.interop.family import NORMALISE, Part, Row, option
 from featreg.runtime.optional import TORCH_CURE, import_torch
 
+# Every plugin asks, and a distribution's metadata takes a millisecond to read.
+version = cache(metadata.version)
 # Before it, positions, frames and scores of several parts are others than what the tables here rely on.
 NEEDED = (0, 9)
 HOST = ("huggingface.co", 443)
@@ -33,8 +34,8 @@ WRAPPERS = ("state_dict", "extractor", "model", "net")
 
 #: What every part, and every network, is given beside its own parameters.
 RUN = {
-    "device": Parameter("cpu", meaning="where networks run: 'cpu', 'cuda', 'cuda:1', 'mps' or 'auto'"),
-    "threads": Parameter(1, Ge(0), meaning="of the processor; 0 leaves it to torch"),
+    "device": option("cpu", meaning="where networks run: 'cpu', 'cuda', 'cuda:1', 'mps' or 'auto'"),
+    "threads": option(1, Ge(0), meaning="of the processor; 0 leaves it to torch"),
 }
 COMMON = {**NORMALISE, **RUN}
 
@@ -84,7 +85,7 @@ def library_missing() -> str:
             return f"{name} is not installed; {TORCH_CURE}"
     try:
         installed = version("kornia")
-    except PackageNotFoundError:
+    except metadata.PackageNotFoundError:
         return ""
     numbers = tuple(int(n) for n in installed.split(".")[:2] if n.isdigit())
     if numbers < NEEDED:
@@ -244,7 +245,9 @@ def _renamed(tensors: dict[str, Any], module: Any) -> dict[str, Any]:
 
 def reachable() -> bool:
     """Whether the host of the weights, or the proxy that stands before it, answers within a few seconds."""
-    proxy = urllib.request.getproxies().get("https", "")
+    from urllib.request import getproxies
+
+    proxy = getproxies().get("https", "")
     address = HOST
     if proxy:
         from urllib.parse import urlsplit

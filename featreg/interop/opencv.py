@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import InputError, ParameterError
-from featreg.interop.family import DESCRIBE, NORMALISE, Parameter, Row
+from featreg.interop.family import DESCRIBE, NORMALISE, Option, Row, option
 from featreg.sar.normalise import to_uint8
 from featreg.types import BoolArray, Features, FloatArray, Image
 
@@ -136,20 +136,16 @@ def _orb_level(level: NDArray[Any], scale_factor: float, shape: tuple[int, int])
     return s.astype(np.float64), size / np.maximum(columns_and_rows, 1.0).astype(np.float64)
 
 
-def option(keyword: str, default: Any, choices: Mapping[Any, int] | tuple[()] = ()) -> Parameter:
-    """Return a parameter that OpenCV calls `keyword`; `choices`: word -> OpenCV's constant."""
-    return Parameter(default, None, choices, keyword=keyword)
-
-
-def snake(**defaults: Any) -> dict[str, Parameter]:
+def snake(**defaults: Any) -> dict[str, Option]:
     """Return parameters that OpenCV calls as we do."""
-    return {key: option(key, default) for key, default in defaults.items()}
+    return {key: option(default, keyword=key) for key, default in defaults.items()}
 
 
-def camel(**defaults: Any) -> dict[str, Parameter]:
+def camel(**defaults: Any) -> dict[str, Option]:
     """Return parameters that OpenCV calls so in camelCase."""
     return {
-        key: option(re.sub("_(.)", lambda found: found[1].upper(), key), default) for key, default in defaults.items()
+        key: option(default, keyword=re.sub("_(.)", lambda found: found[1].upper(), key))
+        for key, default in defaults.items()
     }
 
 
@@ -178,9 +174,7 @@ class Algorithm(Row):
         if isinstance(found, str):
             raise ParameterError(f"{self.creator} cannot be used here: {found}")
         keywords = {
-            p.keyword: p.choices[values[key]] if isinstance(p.choices, Mapping) else values[key]
-            for key, p in self.parameters.items()
-            if p.keyword
+            p.keyword: p.constants.get(values[key], values[key]) for key, p in self.parameters.items() if p.keyword
         }
         if self.creator == "SimpleBlobDetector":
             import cv2
@@ -199,11 +193,16 @@ class Algorithm(Row):
 
 
 #: What the detector and the descriptor of one name have in common.
-HALF_PIXEL = {"half_pixel": Parameter(True, meaning="put right the positions that OpenCV shifts")}
+HALF_PIXEL = {"half_pixel": option(True, meaning="put right the positions that OpenCV shifts")}
 LEVELS = {
     **camel(n_octaves=4, n_octave_layers=4),
-    "diffusivity": option("diffusivity", "pm-g2", {"pm-g1": 0, "pm-g2": 1, "weickert": 2, "charbonnier": 3}),
+    "diffusivity": option(
+        "pm-g2", choices={"pm-g1": 0, "pm-g2": 1, "weickert": 2, "charbonnier": 3}, keyword="diffusivity"
+    ),
 }
 KINDS = {"kaze-upright": 2, "kaze": 3, "mldb-upright": 4, "mldb": 5}
-MLDB = {"descriptor_type": option("descriptor_type", "mldb", KINDS), **snake(descriptor_size=0, descriptor_channels=3)}
+MLDB = {
+    "descriptor_type": option("mldb", choices=KINDS, keyword="descriptor_type"),
+    **snake(descriptor_size=0, descriptor_channels=3),
+}
 SIZES = camel(extended=False, upright=False)

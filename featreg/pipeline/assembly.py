@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from featreg import registry
-from featreg.errors import ParameterError, UnknownNameError, suggest
+from featreg.errors import ParameterError, suggest
 from featreg.interfaces import Descriptor, Detector, Filter, Matcher, Model, Nearest
 from featreg.pipeline import keywords as declared
 from featreg.pipeline.feature_matcher import FeatureMatcher
@@ -19,6 +19,7 @@ from featreg.pipeline.pipeline import Pipeline
 from featreg.pipeline.refine import Refine
 from featreg.pipeline.trust import Limits
 from featreg.presets import PRESETS, Part, Preset
+from featreg.runtime.parameters import check
 
 DEFAULT_METHOD = "sar-orb"
 DEFAULT_MODEL = "affine"
@@ -110,7 +111,7 @@ def assemble(
             f"'{slots['matcher'].name}': leave it out"
         )
     common = preset.common_rotation if common is None else common
-    registry.check_type("common_rotation", common, True)
+    check("common_rotation", common, bool)
     return _assembled(name, preset, slots, model, refine, n_features, blocks, bool(common), given)
 
 
@@ -134,7 +135,7 @@ def _assembled(
     budget = _budget(n_features, BLOCK_FEATURES if blocks else DEFAULT_FEATURES)
     steps = _filters(preset, keywords)
     robust = keywords.pop("robust", preset.robust)
-    registry.check_type("robust", robust, True)
+    check("robust", robust, bool)
     use = preset.refine if refine is None else refine
     refinement, limits = _route(keywords, {**slots, **steps}, preset, refine=bool(use), blocks=blocks)
     for slot in (*slots.values(), *steps.values()):
@@ -177,7 +178,7 @@ def _preset(method: str | Matcher) -> tuple[str, Preset]:
     if isinstance(method, Matcher):
         return type(method).__name__, Preset(type(method).__name__)
     if method not in PRESETS:
-        raise UnknownNameError(f"unknown method '{method}', {suggest(str(method), PRESETS)}")
+        raise registry.unknown("method", str(method))
     return method, PRESETS[method]
 
 
@@ -204,8 +205,8 @@ def _slots(name: str, preset: Preset, method: str | Matcher, keywords: dict[str,
     slots = {role: _Slot.of(role, part) for role, part in parts.items() if part is not None}
     detector = slots.get("detector")
     # A descriptor was asked for, so a detector that could describe its own points must not.
-    if detector and "descriptor" in slots and "describe" in detector.known:
-        detector.parameters["describe"] = False
+    if detector and "descriptor" in slots and detector.entry and detector.entry.describes:
+        detector.parameters[detector.entry.describes] = False
     return slots
 
 
@@ -249,9 +250,6 @@ def _route(
         if owner == "trust" and short in BLOCK_LIMITS and blocks is False:
             raise ParameterError(f"'{key}' is a limit of scenes in blocks, these are whole images: leave it out")
         takers[owner][0][short] = value
-    for owner, given, cls in (("refine", refinement, Refine), ("trust", trust, Limits)):
-        for name, value in given.items():
-            registry.check_type(f"{owner}.{name}", value, getattr(cls, name))
     return Refine(**refinement), Limits(**trust)
 
 

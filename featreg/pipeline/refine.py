@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Ge, Gt, Interval
 from numpy.typing import NDArray
 
-from featreg.errors import ParameterError
 from featreg.geometry.robust import irls
 from featreg.interfaces import FailedFit, Model
+from featreg.runtime.parameters import Positive, checked
 from featreg.sar.correlation import Peaks, local_correlations, peaks
 from featreg.sar.pyramid import clear
 from featreg.sar.speckle import despeckled
@@ -43,6 +45,7 @@ class Refined:
     correlated: int
 
 
+@checked("refine")
 @dataclass(frozen=True)
 class Refine:
     """Correlate the aligned images around the points that were detected, and fit the model again.
@@ -66,21 +69,12 @@ class Refine:
     from the residuals.
     """
 
-    half: int = 24
-    sigma: float = 1.0
-    search: int = 6
-    min_correlation: float = 0.35
-    max_residual: float = 1.0
-    least_share: float = 0.15
-
-    def __post_init__(self) -> None:
-        good = self.half >= 4 and self.search >= 2 and self.sigma > 0 and 0 < self.min_correlation < 1
-        if not (good and self.max_residual > 0 and 0 <= self.least_share <= 1):
-            raise ParameterError(
-                "refine needs half >= 4, search >= 2, sigma > 0, 0 < min_correlation < 1, max_residual > 0 and "
-                f"0 <= least_share <= 1, got {self.half}, {self.search}, {self.sigma}, {self.min_correlation}, "
-                f"{self.max_residual} and {self.least_share}"
-            )
+    half: Annotated[int, Ge(4)] = 24
+    sigma: Positive = 1.0
+    search: Annotated[int, Ge(2)] = 6
+    min_correlation: Annotated[float, Interval(gt=0, lt=1)] = 0.35
+    max_residual: Annotated[float, Gt(0)] = 1.0
+    least_share: Annotated[float, Interval(ge=0, le=1)] = 0.15
 
     @property
     def reach(self) -> int:

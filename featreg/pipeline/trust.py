@@ -25,6 +25,7 @@ from featreg.geometry import (
 from featreg.geometry.cells import cells, spread
 from featreg.geometry.robust import irls
 from featreg.interfaces import FailedFit, Model
+from featreg.runtime.parameters import checked
 from featreg.types import BoolArray, FloatArray, Gate, Matches
 
 # Side of the cells in which tie points are counted once.
@@ -35,6 +36,7 @@ REGIONS = 4
 NEAR_PX, AFFINE_SCALE_PX = 8.0, 0.6
 
 
+@checked("trust")
 @dataclass(frozen=True)
 class Limits:
     """What a trusted registration must reach.

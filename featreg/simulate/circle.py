@@ -10,13 +10,16 @@ from __future__ import annotations
 import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Ge
 from numpy.typing import NDArray
 
 from featreg.errors import ParameterError
 from featreg.focusing.backprojection import SPEED_OF_LIGHT
 from featreg.focusing.phase_history import PhaseHistory
+from featreg.runtime.parameters import Count, Positive, checked
 from featreg.types import FloatArray, kept, points, read_only
 
 #: Scatterers of one vehicle, over all aspects; one in twenty or so is seen at a time.
@@ -76,6 +79,7 @@ class ParkingLot:
         return float(np.hypot(self.positions[:, 0], self.positions[:, 1]).max(initial=0.0))
 
 
+@checked("CircularPath")
 @dataclass(frozen=True)
 class CircularPath:
     """A radar that flies a circle around the scene; the defaults are those of the Gotcha data set, pass 1.
@@ -88,17 +92,12 @@ class CircularPath:
     frequencies : samples of a pulse, evenly spaced over the bandwidth
     """
 
-    radius: float = 7089.0
+    radius: Positive = 7089.0
     height: float = 7276.0
-    pulses_per_degree: int = 117
-    lowest_frequency: float = 9.288e9
-    bandwidth: float = 622.4e6
-    frequencies: int = 424
-
-    def __post_init__(self) -> None:
-        lengths = (self.radius, self.lowest_frequency, self.bandwidth)
-        if not min(lengths) > 0 or self.pulses_per_degree < 1 or self.frequencies < 2:
-            raise ParameterError(f"a path needs positive lengths, pulses, and two frequencies at least, got {self}")
+    pulses_per_degree: Count = 117
+    lowest_frequency: Positive = 9.288e9
+    bandwidth: Positive = 622.4e6
+    frequencies: Annotated[int, Ge(2)] = 424
 
     @property
     def unambiguous_radius(self) -> float:

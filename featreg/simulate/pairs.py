@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
 
 from featreg.errors import ParameterError
+from featreg.runtime.parameters import checked
 from featreg.simulate.landscape import Landscape, Surface
-from featreg.simulate.speckle_field import RADIUS, checked_looks, point_field, speckled_intensity
+from featreg.simulate.speckle_field import RADIUS, Looks, point_field, speckled_intensity
 from featreg.types import FloatArray, read_only
 
 #: Thermal noise as intensity relative to an average field (-17 dB).
@@ -58,14 +61,15 @@ def similarity_matrix(
     return np.column_stack([linear, centre + np.asarray(shift, dtype=np.float64) - linear @ centre])
 
 
+@checked("sar_pair")
 def sar_pair(
     shape: tuple[int, int] = (600, 600),
     *,
-    looks: float = 4,
-    rotation_deg: float = 6.0,
-    scale: float = 1.02,
+    looks: Looks = 4,
+    rotation_deg: Annotated[float, Interval(gt=-math.inf, lt=math.inf)] = 6.0,
+    scale: Annotated[float, Interval(ge=0.1, le=10)] = 1.02,
     shift: tuple[float, float] = (12.0, -7.0),
-    change: float = 0.05,
+    change: Annotated[float, Interval(ge=0, le=1)] = 0.05,
     seed: int = 0,
 ) -> SimulatedPair:
     """Simulate two detected SAR images of one landscape, taken on different dates.
@@ -107,13 +111,8 @@ def sar_pair(
 
     if len(shape) != 2 or min(shape) < 64:
         raise ParameterError(f"shape must be (H, W) of at least 64 x 64, got {tuple(shape)}")
-    if not 0.1 <= scale <= 10:
-        raise ParameterError(f"scale must lie between 0.1 and 10, got {scale}")
-    if not 0 <= change <= 1:
-        raise ParameterError(f"change must lie between 0 and 1, got {change}")
-    if not np.isfinite([rotation_deg, *shift]).all() or len(shift) != 2:
-        raise ParameterError(f"rotation_deg and shift (x, y) must be finite, got {rotation_deg} and {shift}")
-    checked_looks(looks)
+    if not np.isfinite(shift).all() or len(shift) != 2:
+        raise ParameterError(f"shift (x, y) must be finite, got {shift}")
     truth = similarity_matrix(shape, rotation_deg, scale, shift)
     # a disc that holds both images whatever the rotation, in steps, so that a small shift leaves the landscape alone
     diagonal = math.hypot(*shape) / 2

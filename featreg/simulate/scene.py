@@ -7,9 +7,10 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
 
 from featreg.errors import InputError, ParameterError
@@ -19,10 +20,11 @@ from featreg.geolocation.sensor import METRES_PER_DEGREE, Sensor
 from featreg.geolocation.transfer import Transfer, on_ground
 from featreg.io.readers import quiet
 from featreg.io.writers import replacing
+from featreg.runtime.parameters import checked
 from featreg.simulate.ground import SIDE, Ground
 from featreg.simulate.orbit import RangeDoppler, Terrain, plane_metres
 from featreg.simulate.pairs import NOISE
-from featreg.simulate.speckle_field import RADIUS, checked_looks, point_field, speckled_intensity
+from featreg.simulate.speckle_field import RADIUS, Looks, point_field, speckled_intensity
 from featreg.types import FloatArray
 
 #: Rows and columns of an image made at a time: the size of a tile of the file.
@@ -57,17 +59,18 @@ class ScenePair:
     bias: tuple[float, float]
 
 
+@checked("simulate_scene")
 def simulate_scene(
     folder: str | Path,
     shape: tuple[int, int] = (10_000, 11_000),
     *,
-    relief: float = 150.0,
+    relief: Annotated[float, Interval(ge=0, le=3000)] = 150.0,
     bias: tuple[float, float] | None = None,
     incidence_deg: tuple[float, float] = (35.0, 40.0),
     heading_deg: tuple[float, float] = (-12.0, -10.5),
     pixel: tuple[float, float] = (3.0, 3.03),
-    looks: float = 4,
-    change: float = 0.05,
+    looks: Looks = 4,
+    change: Annotated[float, Interval(ge=0, le=1)] = 0.05,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> ScenePair:
@@ -110,8 +113,7 @@ def simulate_scene(
     >>> pair.truth(np.array([[100.0, 120.0]])).shape
     (1, 2)
     """
-    _check(shape, relief, change, (*incidence_deg, *heading_deg, *pixel, *(bias or ())))
-    checked_looks(looks)
+    _check(shape, (*incidence_deg, *heading_deg, *pixel, *(bias or ())))
     folder = Path(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -201,13 +203,9 @@ class _View:
         return np.asarray(self.sensor.ground_to_image(lonlat, self.heights.at(lonlat)) + np.array(self.bias))
 
 
-def _check(shape: tuple[int, int], relief: float, change: float, numbers: tuple[float, ...]) -> None:
+def _check(shape: tuple[int, int], numbers: tuple[float, ...]) -> None:
     if len(shape) != 2 or min(shape) < 256:
         raise ParameterError(f"shape must be (H, W) of at least 256 x 256, got {tuple(shape)}")
-    if not 0 <= relief <= 3000:
-        raise ParameterError(f"relief must lie between 0 and 3000 metres, got {relief}")
-    if not 0 <= change <= 1:
-        raise ParameterError(f"change must lie between 0 and 1, got {change}")
     good = len(numbers) in (6, 8) and np.isfinite(numbers).all()
     if not (good and all(15 <= i <= 60 for i in numbers[:2]) and all(p > 0 for p in numbers[4:6])):
         raise ParameterError(

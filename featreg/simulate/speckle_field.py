@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Ge, Predicate
 from numpy.typing import ArrayLike, NDArray
 
-from featreg.errors import ParameterError
+from featreg.runtime.parameters import checked
 from featreg.types import FloatArray
 
 #: Processed band over sampling rate, and the pedestal of the raised-cosine weighting: 3 dB width 1.3 px, side lobes
@@ -35,11 +36,12 @@ def response_kernel() -> NDArray[np.float32]:
     return np.asarray(kernel / np.sqrt((kernel**2).sum()), dtype=np.float32)
 
 
-def checked_looks(looks: float) -> float:
-    """Return `looks` if it is a whole number of at least 1, or infinity."""
-    if looks != math.inf and (looks < 1 or looks != int(looks)):
-        raise ParameterError(f"looks must be a whole number of at least 1, or infinity, got {looks}")
-    return looks
+def whole_or_infinite(looks: float) -> bool:
+    """Whether a number of looks is one."""
+    return looks == math.inf or looks == int(looks)
+
+
+Looks = Annotated[float, Ge(1), Predicate(whole_or_infinite)]
 
 
 def speckle_field(shape: tuple[int, int], looks: float, rng: np.random.Generator) -> NDArray[np.float32]:
@@ -63,10 +65,11 @@ def speckle_field(shape: tuple[int, int], looks: float, rng: np.random.Generator
     return speckled_intensity(np.ones(shape, np.float32), None, looks, rng)
 
 
+@checked("")
 def speckled_intensity(
     backscatter: NDArray[np.float32],
     coherent: NDArray[np.complex64] | None,
-    looks: float,
+    looks: Looks,
     rng: np.random.Generator,
 ) -> NDArray[np.float32]:
     """Intensity image that the system makes of a rough surface and of point targets.
@@ -91,7 +94,6 @@ def speckled_intensity(
     import cv2
 
     kernel = response_kernel()
-    looks = checked_looks(looks)
 
     def imaged(field: NDArray[np.float32], taps: NDArray[np.float32]) -> Any:
         blurred = cv2.sepFilter2D(field, cv2.CV_32F, taps, taps, borderType=cv2.BORDER_CONSTANT)

@@ -16,9 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from featreg import registry
 from featreg._version import __version__
-from featreg.cli import info as cli_info
 from featreg.cli import main as cli
 from featreg.cli import match as cli_match
 from featreg.cli.main import main
@@ -285,7 +283,8 @@ MISUSE: dict[str, tuple[list[str], list[str]]] = {
     "resampling": (["warp", "result.json", "sec.tif", "-o", "o.tif", "--resampling", "cubi"], ["'cubi'", "'cubic'"]),
     "other secondary": (["warp", "result.json", "small.tif", "-o", "o.tif"], ["small.tif", "40 x 30", "256 x 256"]),
     "other reference": (["warp", "result.json", "sec.tif", "-o", "o.tif", "--like", "small.tif"], ["40 x 30"]),
-    "kind": (["list", "detectors"], ["unknown kind 'detectors'", "'detector'"]),
+    "other kind": (["match", "ref.tif", "sec.tif", "--method", "sar-ofast"], ["that is a detector, not a method"]),
+    "kind": (["list", "detectors"], ["unknown kind or name 'detectors'", "did you mean 'detector'"]),
     "out": (["demo", "--out", "no/dir"], ["--out", "does not exist"]),
     "out is file": (["demo", "--out", "ref.tif"], ["is a file"]),
 }
@@ -430,38 +429,6 @@ def test_warp_with_an_untrusted_result_says_so(run: Run, tmp_path: Path, folder:
 
 
 # list, doctor, help
-
-
-def test_list_names_everything_with_defaults(run: Run) -> None:
-    code, out, err = run("list")
-    assert (code, err) == (0, "")
-    titles = [line.split(" (")[0] for line in out.splitlines() if not line.startswith(" ")]
-    assert titles[:7] == list(cli_info.KINDS)
-    for kind in cli_info.KINDS:
-        for name in registry.available(kind):
-            assert f"\n  {name} " in out
-    assert "threshold=3.0" in run("list", "filter")[1]
-
-
-def test_list_as_json(run: Run) -> None:
-    code, out, _ = run("list", "--json")
-    items = json.loads(out)
-    assert code == 0
-    assert {item["kind"] for item in items} >= {"detector", "descriptor", "nearest", "filter", "model", "method"}
-    assert all(item["available"] == (not item["unavailable"]) for item in items)
-    fsc = next(item for item in json.loads(run("list", "filter", "--json")[1]) if item["name"] == "fsc")
-    assert fsc["parameters"]["threshold"] == 3.0
-    assert fsc["summary"]
-
-
-def test_hidden_plugins_are_listed_with_the_reason(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(registry._broken, "featreg.detectors.odd", "ImportError: no odd")
-    assert "featreg.detectors.odd: ImportError: no odd" in run("list", "nearest")[1]
-    hidden = [item for item in json.loads(run("list", "nearest", "--json")[1]) if item["kind"] is None]
-    assert [(item["name"], item["unavailable"]) for item in hidden] == [
-        ("featreg.detectors.odd", "ImportError: no odd")
-    ]
-    assert "ImportError: no odd" in run("doctor")[1]
 
 
 def test_doctor(run: Run) -> None:

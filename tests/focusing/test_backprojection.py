@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from featreg.errors import ParameterError, PluginUnavailableError
 from featreg.focusing.backprojection import SPEED_OF_LIGHT as C
-from featreg.focusing.backprojection import GroundGrid, back_project, carrier
+from featreg.focusing.backprojection import GroundGrid, Window, back_project, carrier
 from featreg.focusing.phase_history import PhaseHistory, read_phase_history
 
 BAND, LOW, COUNT = 600e6, 9.3e9, 64
@@ -98,7 +98,7 @@ def test_a_point_focuses_where_it_stands_with_its_amplitude_and_phase() -> None:
 
 @pytest.mark.parametrize("window", ["none", "hamming", "hann"])
 @pytest.mark.parametrize("axis", ["range", "azimuth"])
-def test_the_mainlobe_is_as_wide_as_theory_says(window: str, axis: str) -> None:
+def test_the_mainlobe_is_as_wide_as_theory_says(window: Window, axis: str) -> None:
     h = echoes([0.0, 0.0, 0.0], 1.0)
     if axis == "range":
         extent = 2 * BAND * COUNT / (COUNT - 1) * np.cos(ELEVATION) / C
@@ -265,11 +265,11 @@ def test_a_phase_error_of_the_pulses_stands_in_the_columns_spectrum() -> None:
 @pytest.mark.parametrize(
     ("keywords", "message"),
     [
-        ({"range_window": "haming"}, "did you mean 'hamming'"),
-        ({"azimuth_window": "taylor"}, "unknown window 'taylor'"),
-        ({"backend": "jax"}, "unknown backend 'jax'"),
-        ({"upsampling": 0}, "at least 1"),
-        ({"workers": 0}, "at least 1"),
+        ({"range_window": "haming"}, "range_window' must be 'hamming'"),
+        ({"azimuth_window": "taylor"}, "got 'taylor'"),
+        ({"backend": "jax"}, "'numba' or 'torch', got 'jax'"),
+        ({"upsampling": 0}, "of at least 1"),
+        ({"workers": 0}, "of at least 1"),
         ({"device": "cuda"}, "needs backend='torch'"),
     ],
 )

@@ -444,7 +444,7 @@ def test_estimator_that_opencv_lacks_for_the_model_is_named() -> None:
     for model in (Translation, Rigid, Polynomial2):
         with pytest.raises(ParameterError, match="use 'own'"):
             magsac.keep(matches, context(model))
-    with pytest.raises(ParameterError, match="did you mean 'usac-magsac'"):
+    with pytest.raises(ParameterError, match=r"'own', .* or 'usac-magsac', got 'usac-magsack'"):
         create("filter", "ransac", estimator="usac-magsack")
 
 

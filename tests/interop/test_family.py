@@ -18,7 +18,7 @@ from featreg import registry
 from featreg.errors import DuplicatePluginError, ParameterError, PluginError, PluginUnavailableError
 from featreg.interfaces import Descriptor, Detector
 from featreg.interop.extraction import extractor
-from featreg.interop.family import DESCRIBE, N_FEATURES, WEIGHTS, Parameter, Part, Row, best_first, register_table
+from featreg.interop.family import DESCRIBE, N_FEATURES, WEIGHTS, Part, Row, best_first, option, register_table
 from featreg.types import Features, Image
 
 IMAGE = np.random.default_rng(0).gamma(4.0, size=(64, 64)).astype(np.float32)
@@ -41,7 +41,7 @@ class ToyRow(Row):
         return self.weights
 
 
-MARGIN = Parameter(4, Interval(ge=1, lt=30), meaning="pixels of the border that are left out")
+MARGIN = option(4, Interval(ge=1, lt=30), meaning="pixels of the border that are left out")
 TABLE = {
     "toy-bright": ToyRow(
         "bright", "Bright pixels.", {**N_FEATURES, "margin": MARGIN, **DESCRIBE}, measure=lambda pixels, values: pixels
@@ -52,8 +52,8 @@ TABLE = {
         {
             **N_FEATURES,
             "margin": MARGIN,
-            "exponent": Parameter(2.0, Gt(0)),
-            "sign": Parameter("plus", choices={"plus": 1.0, "minus": -1.0}),
+            "exponent": option(2.0, Gt(0)),
+            "sign": option("plus", choices={"plus": 1.0, "minus": -1.0}),
             "weights": WEIGHTS,
         },
         measure=lambda pixels, values: pixels ** values["exponent"],
@@ -117,14 +117,14 @@ def test_a_member_works_like_any_other_plugin() -> None:
 @pytest.mark.parametrize(
     ("given", "text"),
     [
-        ({"margin": 0}, r"'toy-power.margin' must be at least 1, got 0"),
-        ({"margin": 30}, r"'toy-power.margin' must be below 30, got 30"),
+        ({"margin": 0}, r"'toy-power.margin' must be a whole number of at least 1 and below 30, got 0"),
+        ({"margin": 30}, r"'toy-power.margin' must be a whole number of at least 1 and below 30, got 30"),
         ({"margin": 3.5}, "a whole number"),
         ({"margin": True}, "a whole number"),
         ({"exponent": 0.0}, "above 0"),
         ({"exponent": float("nan")}, "above 0"),
         ({"n_features": 0}, "at least 1"),
-        ({"sign": "times"}, "must be one of 'plus', 'minus', got 'times'"),
+        ({"sign": "times"}, "must be 'plus' or 'minus', got 'times'"),
         ({"weights": 3}, "the path of a file or None, got 3"),
         ({"margins": 3}, "did you mean 'margin'"),
     ],
@@ -141,10 +141,10 @@ def test_what_is_not_declared_is_refused(given: dict[str, Any], text: str) -> No
     [(Ge(2), 2, 1), (Gt(2), 3, 2), (Le(2), 2, 3), (Lt(2), 1, 2), (MultipleOf(3), 6, 7), (Interval(gt=1, le=3), 3, 1)],
 )
 def test_every_kind_of_range_is_kept(limit: Any, good: int, bad: int) -> None:
-    parameter = Parameter(good, limit)
-    assert parameter.checked("n", good) == good
+    parameter = option(good, limit)
+    parameter.check("n", good)
     with pytest.raises(ParameterError, match=f"'n' must be .* got {bad}"):
-        parameter.checked("n", bad)
+        parameter.check("n", bad)
 
 
 def test_what_is_missing_is_named_and_weights_may_come_late() -> None:

@@ -13,15 +13,24 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
 
-from featreg.errors import ParameterError
+from featreg.runtime.parameters import checked
 from featreg.sar.gradients.fourier import channels, fast_length, inverse_transform, transform
 
 F32 = NDArray[np.float32]
 C64 = NDArray[np.complex64]
+
+#: What the parameters of a bank may be, wherever they stand.
+Scales = Annotated[int, Interval(ge=1, le=8)]
+Orientations = Annotated[int, Interval(ge=4, le=24)]
+MinWavelength = Annotated[float, Interval(ge=2, lt=1e3)]
+Multiplier = Annotated[float, Interval(gt=1, lt=10)]
+Bandwidth = Annotated[float, Interval(gt=0, lt=1)]
 
 # Frequencies above it, in cycles per pixel, lie in the corners of the spectrum, where directions are unequal.
 CUT_OFF, SHARPNESS = 0.45, 15
@@ -32,6 +41,7 @@ LEAST_MARGINS = 6
 SAMPLED_REACH, SAMPLED_SIDE = 2.0, 16
 
 
+@checked("LogGabor")
 @dataclass(frozen=True)
 class LogGabor:
     """The parameters of a bank.
@@ -51,23 +61,11 @@ class LogGabor:
     orientations' distance along the angle. The sum over the orientations is the same at every angle.
     """
 
-    scales: int = 4
-    orientations: int = 6
-    min_wavelength: float = 3.0
-    multiplier: float = 1.6
-    bandwidth: float = 0.75
-
-    def __post_init__(self) -> None:
-        if not (1 <= self.scales <= 8 and 4 <= self.orientations <= 24):
-            raise ParameterError(
-                "log-Gabor filters need 1 to 8 scales and 4 to 24 orientations, got "
-                f"{self.scales} and {self.orientations}"
-            )
-        if not (2 <= self.min_wavelength < 1e3 and 1 < self.multiplier < 10 and 0 < self.bandwidth < 1):
-            raise ParameterError(
-                "log-Gabor filters need min_wavelength >= 2, multiplier > 1 and bandwidth between 0 and 1, got "
-                f"{self.min_wavelength}, {self.multiplier} and {self.bandwidth}"
-            )
+    scales: Scales = 4
+    orientations: Orientations = 6
+    min_wavelength: MinWavelength = 3.0
+    multiplier: Multiplier = 1.6
+    bandwidth: Bandwidth = 0.75
 
     def wavelength(self, scale: int) -> float:
         """Wavelength in pixels of a scale's centre frequency."""

@@ -26,11 +26,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated, Literal
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
 
-from featreg.errors import ParameterError
+from featreg.runtime.parameters import Positive, checked
 from featreg.sar.gradients.log_gabor import LogGabor, finest_amplitude, pieces
 from featreg.sar.speckle import mean_amplitude
 from featreg.types import BoolArray, Image, read_only
@@ -38,7 +40,9 @@ from featreg.types import BoolArray, Image, read_only
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
 
-VIEWS = ("soft-log", "amplitude")
+#: What the parameters of `Congruency` may be, wherever they stand.
+Noise = Annotated[float, Interval(gt=-math.inf, lt=math.inf)]
+View = Literal["soft-log", "amplitude"]
 # Steps of the index map in half a turn.
 STEPS = 240
 # Samples along each side, about, from which a quantile and the noise are estimated.
@@ -49,6 +53,7 @@ DARK, RIM_SIDE, RIM_SHARE = 0.05, 7, 1e-3
 LEAST_SHARE = 0.02
 
 
+@checked("Congruency")
 @dataclass(frozen=True)
 class Congruency:
     """Parameters of phase congruency beside its filters.
@@ -61,19 +66,11 @@ class Congruency:
     cut_off, gain : centre and steepness of the logistic weight of the spread over scales
     """
 
-    noise: float = 0.0
-    floor: float = 0.1
-    view: str = "soft-log"
+    noise: Noise = 0.0
+    floor: Positive = 0.1
+    view: View = "soft-log"
     cut_off: float = 0.5
     gain: float = 3.0
-
-    def __post_init__(self) -> None:
-        if self.view not in VIEWS:
-            raise ParameterError(f"phase congruency needs a view of {' or '.join(VIEWS)}, got '{self.view}'")
-        if not (math.isfinite(self.noise) and math.isfinite(self.floor) and self.floor > 0):
-            raise ParameterError(
-                f"phase congruency needs a finite noise and floor > 0, got {self.noise} and {self.floor}"
-            )
 
 
 def congruency_maps(image: Image, bank: LogGabor, congruency: Congruency) -> tuple[F32, F32, U8, BoolArray]:

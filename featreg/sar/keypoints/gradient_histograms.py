@@ -12,8 +12,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
 
 from featreg.sar.gradients.gradient_field import GradientField
@@ -35,6 +37,9 @@ DISC, RING = 0.25, 0.73
 DISC_RINGS, PIECE_RINGS = 8, 8
 # Points whose samples are held at a time, at most.
 BLOCK = 64
+#: What the parameters of a descriptor of these histograms may be.
+Step = Annotated[float, Interval(ge=0.01, le=0.25)]
+Harmonics = Annotated[int, Interval(ge=0, le=HARMONICS)]
 # Multiplications of one matrix product, at most: so many OpenBLAS does on one thread. Waking others costs more than
 # they save, and many times as much on a busy machine.
 PRODUCT = 1 << 18

@@ -3,36 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Literal
 
 import numpy as np
 
-from featreg.errors import ParameterError, suggest
+from featreg.errors import ParameterError
+from featreg.runtime.parameters import Positive, checked
 from featreg.sar.obcls.association import Fit, Map
 from featreg.types import BoolArray, FloatArray
 
-THRESHOLDS = ("mad", "median+mad")
+Rule = Literal["mad", "median+mad"]
 #: -1 / (sqrt(2) erfcinv(3 / 2)): makes the median absolute deviation of Gaussian errors their standard deviation.
 MU = 1.4826
 #: Errors that differ by less than this many pixels are equal: the rounding of the fit.
 EQUAL_PX = 1e-6
 
 
-def check(threshold: str, first: float, last: float, step: float) -> None:
-    """Raise `ParameterError` where a parameter of `cancelled` is impossible."""
-    if threshold not in THRESHOLDS:
-        raise ParameterError(f"unknown threshold '{threshold}', {suggest(threshold, THRESHOLDS)}")
-    if not 0 < last <= first or not step > 0:
-        raise ParameterError(f"kappa falls from first to last > 0 by step > 0, got {first}, {last} and {step}")
+def check_kappa(first: float, last: float) -> None:
+    """Raise `ParameterError` where kappa would rise."""
+    if last > first:
+        raise ParameterError(f"kappa falls from its first value to its last, got {first} and {last}")
 
 
+@checked("cancelled")
 def cancelled(
     errors_of: Callable[[BoolArray], FloatArray | None],
     count: int,
     *,
-    threshold: str = "median+mad",
-    first: float = 3.0,
-    last: float = 2.0,
-    step: float = 0.25,
+    threshold: Rule = "median+mad",
+    first: Positive = 3.0,
+    last: Positive = 2.0,
+    step: Positive = 0.25,
     least: int = 3,
     start: BoolArray | None = None,
 ) -> BoolArray:
@@ -67,7 +68,7 @@ def cancelled(
     Errors are lengths, so their median is not near 0: the published threshold cuts off a part of the good equations at
     every step and leaves about a third of them, the most accurate ones of the current fit.
     """
-    check(threshold, first, last, step)
+    check_kappa(first, last)
     keep = np.ones(count, np.bool_)
     used = keep if start is None or start.sum() < least else start
     # The small number lets the last kappa in whatever the rounding of the steps before.

@@ -9,14 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
+from typing import Annotated, Literal
 
 import numpy as np
+from annotated_types import Ge, Interval
 from numpy.typing import NDArray
 
-from featreg.errors import ParameterError, suggest
+from featreg.errors import ParameterError
+from featreg.runtime.parameters import Count, Positive, Probability, Share, checked
 from featreg.types import BoolArray, FloatArray, IntArray, read_only
 
-METHODS = ("ca", "goca", "soca", "os", "tm", "cs")
+Method = Literal["ca", "goca", "soca", "os", "tm", "cs"]
+Guard = Annotated[int, Ge(0)]
+Trim = Annotated[float, Interval(ge=0, lt=0.5)]
 #: Share of a whole window's training cells that must exist, or the cell is not tested.
 LEAST_SHARE = 0.1
 #: Farthest training cell, px.
@@ -27,17 +32,18 @@ EXACT = 2000
 STRIP = 128
 
 
+@checked("cfar")
 def detect(
     power: NDArray[np.float32],
     valid: BoolArray,
     *,
-    method: str = "ca",
-    pfa: float = 1e-2,
-    guard: int = 8,
-    train: int = 8,
-    looks: float = 1.0,
-    rank: float = 0.75,
-    trim: float = 0.25,
+    method: Method = "ca",
+    pfa: Probability = 1e-2,
+    guard: Guard = 8,
+    train: Count = 8,
+    looks: Positive = 1.0,
+    rank: Share = 0.75,
+    trim: Trim = 0.25,
 ) -> BoolArray:
     """Return which cells stand out of the clutter around them.
 
@@ -80,7 +86,7 @@ def detect(
     """
     from featreg.sar.obcls import cfar_kernels
 
-    check(method=method, pfa=pfa, guard=guard, train=train, looks=looks, rank=rank, trim=trim)
+    check_window(guard, train)
     reach = guard + train
     whole = (2 * reach + 1) ** 2 - (2 * guard + 1) ** 2
     side = train * (reach + guard + 1)
@@ -117,17 +123,8 @@ def detect(
     return found & valid
 
 
-def check(
-    *, method: str, pfa: float, guard: int, train: int, looks: float, rank: float = 0.75, trim: float = 0.25
-) -> None:
-    """Raise `ParameterError` where a parameter of `detect` is impossible."""
-    if method not in METHODS:
-        raise ParameterError(f"unknown CFAR method '{method}', {suggest(method, METHODS)}")
-    if not 0 < pfa < 1 or guard < 0 or train < 1 or not looks > 0 or not 0 < rank <= 1 or not 0 <= trim < 0.5:
-        raise ParameterError(
-            "CFAR needs 0 < pfa < 1, guard >= 0, train >= 1, looks > 0, 0 < rank <= 1 and 0 <= trim < 0.5, got "
-            f"{pfa}, {guard}, {train}, {looks}, {rank} and {trim}"
-        )
+def check_window(guard: int, train: int) -> None:
+    """Raise `ParameterError` where the window of `detect` is too large."""
     if guard + train > FARTHEST:
         raise ParameterError(f"CFAR needs guard + train <= {FARTHEST}, got {guard} + {train}")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from featreg.types import BoolArray, FloatArray, Image, IntArray, Matches
 STILL = 0.02
 #: Shifts in px within which the peaks of aligned patches are taken for good at first.
 NEAR = 8.0
-SAMPLES = ("cc", "rc")
+Samples = Literal["cc", "rc"]
 
 
 def check_samples(samples: str, reference: Image, secondary: Image) -> None:

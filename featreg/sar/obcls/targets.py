@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Ge, Interval, Predicate
 from numpy.typing import NDArray
 
-from featreg.errors import ParameterError
+from featreg.runtime.parameters import Count, checked
 from featreg.sar.obcls import cfar
 from featreg.sar.speckle import mean_amplitude
 from featreg.types import BoolArray, FloatArray, Image, IntArray
@@ -31,12 +32,22 @@ class Targets:
         return len(self.xy)
 
 
+def odd(number: int) -> bool:
+    """Whether a number of pixels has one in the middle."""
+    return number % 2 == 1
+
+
+Order = Annotated[int, Interval(ge=1, le=25)]
+Side = Annotated[int, Ge(1), Predicate(odd)]
+
+
+@checked("targets")
 def targets(
     image: Image,
     *,
-    order: int = 17,
-    median: int = 7,
-    min_area: int = 1,
+    order: Order = 17,
+    median: Side = 7,
+    min_area: Count = 1,
     zeros_are_data: bool = False,
     **detection: Any,
 ) -> Targets:
@@ -56,11 +67,6 @@ def targets(
     ParameterError
         An impossible value.
     """
-    cfar.check(**{"method": "ca", "pfa": 1e-2, "guard": 8, "train": 8, "looks": 1.0, **detection})
-    if not 1 <= order <= 25 or median < 1 or median % 2 == 0 or min_area < 1:
-        raise ParameterError(
-            f"targets need 1 <= order <= 25, median odd and >= 1 and min_area >= 1, got {order}, {median}, {min_area}"
-        )
     return image.derive(
         _targets, order=order, median=median, min_area=min_area, zeros_are_data=zeros_are_data, **detection
     )

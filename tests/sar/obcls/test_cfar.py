@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -9,7 +11,8 @@ from numpy.typing import NDArray
 from featreg.errors import ParameterError
 from featreg.sar.obcls import cfar
 
-every = pytest.mark.parametrize("method", cfar.METHODS)
+METHODS: tuple[cfar.Method, ...] = get_args(cfar.Method)
+every = pytest.mark.parametrize("method", METHODS)
 SIDES = ("goca", "soca")
 
 
@@ -17,7 +20,7 @@ def clutter(shape: tuple[int, int], looks: float = 1.0, seed: int = 0) -> NDArra
     return np.random.default_rng(seed).gamma(looks, 1 / looks, shape).astype(np.float32)
 
 
-def factor(method: str, pfa: float, n: int, looks: float = 1.0, sides: int = 4) -> float:
+def factor(method: cfar.Method, pfa: float, n: int, looks: float = 1.0, sides: int = 4) -> float:
     return float(cfar.threshold_factors(method, pfa, n, looks, sides=sides)[n - 1])
 
 
@@ -35,7 +38,7 @@ def test_order_statistics_of_one_look_have_the_textbook_false_alarm_rate() -> No
 
 
 @pytest.mark.parametrize(("method", "tolerance"), [("os", 1e-3), ("tm", 0.02), ("cs", 0.02)])
-def test_numeric_factors_meet_the_exact_ones_of_one_look(method: str, tolerance: float) -> None:
+def test_numeric_factors_meet_the_exact_ones_of_one_look(method: cfar.Method, tolerance: float) -> None:
     """As the number of looks nears one: two ways to the same factor."""
     for n in (8, 40, 200):
         assert factor(method, 1e-2, n, 1 + 1e-9) == pytest.approx(factor(method, 1e-2, n), rel=tolerance)
@@ -43,7 +46,7 @@ def test_numeric_factors_meet_the_exact_ones_of_one_look(method: str, tolerance:
 
 @pytest.mark.parametrize("method", SIDES)
 @pytest.mark.parametrize("looks", [1.0, 3.0])
-def test_one_side_alone_is_a_cell_average(method: str, looks: float) -> None:
+def test_one_side_alone_is_a_cell_average(method: cfar.Method, looks: float) -> None:
     for n in (2, 30, 200):
         assert factor(method, 1e-3, n, looks, sides=1) == pytest.approx(factor("ca", 1e-3, n, looks), rel=1e-3)
 
@@ -53,7 +56,7 @@ def test_the_greatest_needs_a_lower_factor_than_the_smallest() -> None:
 
 
 @every
-def test_more_looks_and_more_alarms_lower_the_factor(method: str) -> None:
+def test_more_looks_and_more_alarms_lower_the_factor(method: cfar.Method) -> None:
     assert factor(method, 1e-2, 60, 4.0) < factor(method, 1e-2, 60, 1.0)
     assert factor(method, 1e-1, 60) < factor(method, 1e-2, 60) < factor(method, 1e-3, 60)
 
@@ -61,7 +64,7 @@ def test_more_looks_and_more_alarms_lower_the_factor(method: str) -> None:
 @every
 @pytest.mark.parametrize("looks", [1.0, 4.0])
 @pytest.mark.parametrize("pfa", [1e-1, 1e-2])
-def test_homogeneous_clutter_gives_the_set_false_alarms(method: str, looks: float, pfa: float) -> None:
+def test_homogeneous_clutter_gives_the_set_false_alarms(method: cfar.Method, looks: float, pfa: float) -> None:
     power = clutter((600, 600), looks)
     found = cfar.detect(power, np.ones(power.shape, np.bool_), method=method, pfa=pfa, guard=2, train=3, looks=looks)
     assert found.mean() == pytest.approx(pfa, rel=0.1)
@@ -71,7 +74,7 @@ def test_homogeneous_clutter_gives_the_set_false_alarms(method: str, looks: floa
 @every
 @pytest.mark.parametrize("looks", [1.0, 2.5])
 @pytest.mark.parametrize("window", [(2, 3), (8, 8)])
-def test_rare_false_alarms_are_as_rare_as_set(method: str, looks: float, window: tuple[int, int]) -> None:
+def test_rare_false_alarms_are_as_rare_as_set(method: cfar.Method, looks: float, window: tuple[int, int]) -> None:
     power = clutter((1800, 1800), looks, seed=1)
     found = cfar.detect(
         power, np.ones(power.shape, np.bool_), method=method, pfa=1e-3, guard=window[0], train=window[1], looks=looks
@@ -80,7 +83,7 @@ def test_rare_false_alarms_are_as_rare_as_set(method: str, looks: float, window:
 
 
 @every
-def test_false_alarms_are_as_set_at_borders_and_masks(method: str) -> None:
+def test_false_alarms_are_as_set_at_borders_and_masks(method: cfar.Method) -> None:
     """Only rows within reach of a border, in clutter that ends at a mask of very bright values."""
     total, count = 0, 0
     for seed in range(12):
@@ -95,7 +98,13 @@ def test_false_alarms_are_as_set_at_borders_and_masks(method: str) -> None:
 
 
 def direct(
-    power: NDArray[np.float32], valid: NDArray[np.bool_], method: str, pfa: float, guard: int, train: int, looks: float
+    power: NDArray[np.float32],
+    valid: NDArray[np.bool_],
+    method: cfar.Method,
+    pfa: float,
+    guard: int,
+    train: int,
+    looks: float,
 ) -> NDArray[np.bool_]:
     """The definition, cell by cell."""
     height, width = power.shape
@@ -141,7 +150,7 @@ def direct(
 
 
 @every
-def test_decisions_are_those_of_the_definition(method: str) -> None:
+def test_decisions_are_those_of_the_definition(method: cfar.Method) -> None:
     power = clutter((150, 23), 2.0, seed=3)  # more rows than are worked on at once
     power[10:14, 5:9] *= 30
     valid = np.random.default_rng(4).random(power.shape) > 0.2
@@ -153,7 +162,7 @@ def test_decisions_are_those_of_the_definition(method: str) -> None:
 
 
 @every
-def test_gain_does_not_matter_and_a_target_is_found(method: str) -> None:
+def test_gain_does_not_matter_and_a_target_is_found(method: cfar.Method) -> None:
     power = clutter((60, 60))
     power[28:32, 28:32] = 100
     valid = np.ones(power.shape, np.bool_)
@@ -169,7 +178,7 @@ def test_a_cell_without_neighbours_is_not_tested() -> None:
     power[20, 20] = 1e6
     valid = np.zeros(power.shape, np.bool_)
     valid[20, 20] = True
-    for method in cfar.METHODS:
+    for method in METHODS:
         assert not cfar.detect(power, valid, method=method).any()
 
 
