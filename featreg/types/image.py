@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import InputError
-from featreg.types.arrays import BoolArray, FloatArray, ReadOnlyArrays, kept, read_only
+from featreg.types.arrays import BoolArray, FloatArray, ReadOnlyArrays, kept
 from featreg.types.derived import DerivedMaps
 
 T = TypeVar("T")
@@ -36,7 +36,7 @@ class Geolocation(ReadOnlyArrays):
 
 
 @dataclass(frozen=True, eq=False)
-class Image:
+class Image(ReadOnlyArrays):
     """One SAR image: linear amplitude or complex samples, and which of its pixels are data.
 
     Parameters
@@ -112,9 +112,7 @@ class Image:
         return {k: v for k, v in self.__dict__.items() if k != "_derived"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        read_only(self.pixels)
-        read_only(self.mask)
+        super().__setstate__(state)
         self.__dict__["_derived"] = DerivedMaps()
 
 

@@ -19,6 +19,7 @@ from featreg.errors import DuplicatePluginError, ParameterError, PluginError, Pl
 from featreg.interfaces import Descriptor, Detector
 from featreg.interop.extraction import extractor
 from featreg.interop.family import DESCRIBE, N_FEATURES, WEIGHTS, Part, Row, best_first, option, register_table
+from featreg.pipeline.assembly import assemble
 from featreg.types import Features, Image
 
 IMAGE = np.random.default_rng(0).gamma(4.0, size=(64, 64)).astype(np.float32)
@@ -177,9 +178,12 @@ def test_a_parameter_called_describe_belongs_to_its_detector() -> None:
         def detect_features(self, image: Image) -> Features:
             return Features.empty()
 
-    for given in ({}, {"describe": True}, {"describe": False}):
+    every: list[dict[str, Any]] = [{}, {"describe": True}, {"describe": False}]
+    for given in every:
         made: Any = extractor("toy-chatty", "brief", **given)
         assert made.detector.describe is given.get("describe", True)
+        matcher: Any = assemble("sar-orb", detector="toy-chatty", **given).matcher
+        assert matcher.detector.describe is given.get("describe", True)
 
 
 def test_a_class_names_its_own_parameter() -> None:
@@ -196,6 +200,8 @@ def test_a_class_names_its_own_parameter() -> None:
 
     made: Any = extractor("toy-mute", "brief")
     assert made.detector.with_descriptors is False
+    matcher: Any = assemble("sar-orb", detector="toy-mute").matcher
+    assert matcher.detector.with_descriptors is False
 
 
 def test_a_name_that_is_taken_and_a_class_without_a_kind_are_refused() -> None:
