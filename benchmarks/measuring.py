@@ -19,10 +19,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from featreg.runtime.threads import THREAD_VARIABLES
 from featreg.runtime.versions import versions
 from featreg.simulate import sar_pair, similarity_matrix
 
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 DATA = Path(os.environ.get("FEATREG_DATA", Path(__file__).parents[2] / "shared" / "data"))
 
 # Shortest time of one sample; quicker functions are repeated inside it.
@@ -31,9 +31,9 @@ SAMPLE_S = 0.005
 
 def on_one_thread(*, pinned: bool = True) -> None:
     """Start the script again with one thread for every library and, if `pinned` and possible, on one core."""
-    if any(os.environ.get(name) != "1" for name in THREADS):
+    if any(os.environ.get(name) != "1" for name in THREAD_VARIABLES):
         done = subprocess.run(
-            [sys.executable, *sys.argv], env={**os.environ, **dict.fromkeys(THREADS, "1")}, check=False
+            [sys.executable, *sys.argv], env={**os.environ, **dict.fromkeys(THREAD_VARIABLES, "1")}, check=False
         )
         sys.exit(done.returncode)
     cv2.setNumThreads(1)

@@ -84,7 +84,9 @@ def measured(place: Path, workers: int, block: int) -> dict[str, Any]:
     if code != 0:
         raise SystemExit(f"featreg match ended with {code}")
     result = Registration.from_json(out)
-    width, height = (result.provenance["inputs"]["reference"][k] for k in ("width", "height"))
+    if result.reference is None:
+        raise SystemExit(f"{out} does not say the size of its reference")
+    height, width = result.reference.shape
     x, y = np.meshgrid(np.linspace(0.1, 0.9, 9) * width, np.linspace(0.1, 0.9, 9) * height)
     grid = np.column_stack([x.ravel(), y.ravel()])
     off = np.zeros(1) if not result.model else result.model(grid) - read_scene_truth(place / "truth.json")(grid)

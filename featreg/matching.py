@@ -23,9 +23,10 @@ from featreg.pipeline.assembly import DEFAULT_METHOD, assemble, assemble_fit
 from featreg.pipeline.feature_matcher import FeatureMatcher
 from featreg.pipeline.keywords import of_pipeline
 from featreg.pipeline.pipeline import Pipeline
+from featreg.results.input_image import InputImage
 from featreg.results.registration import Registration
 from featreg.runtime.cluster import dask_client
-from featreg.runtime.threads import check_count, limited_threads
+from featreg.runtime.threads import limited_threads, worker_count
 from featreg.runtime.timing import collecting, stage
 from featreg.runtime.watching import Canceller, Progress, cancellable
 from featreg.types import FloatArray, Image, Matches
@@ -111,8 +112,8 @@ def match(
         `cancel` was set.
     """
     check_seed(seed)
-    for name, count in (("workers", workers), ("threads", threads)):
-        check_count(name, count)
+    worker_count(workers)
+    worker_count(threads, name="threads")
     known = _initial(initial, search_radius)
     search: Any = {"seed": int(seed), "initial": known, "search_radius": search_radius}
     parts: Any = {"model": model, "refine": refine, "n_features": n_features, **keywords}
@@ -155,7 +156,7 @@ def match(
     return replace(
         result,
         timings={**seconds, **result.timings},
-        provenance={**result.provenance, "inputs": inputs_of(first, second), **focusing},
+        provenance={**result.provenance, **focusing},
     )
 
 
@@ -190,9 +191,8 @@ def fit(
         for given, xy in ((reference_shape, matches.reference_xy), (secondary_shape, matches.secondary_xy))
     ]
     result = pipeline.fit(matches, shapes[0], shapes[1], seed=seed)
-    sizes = [{"path": "tie points", "width": int(w), "height": int(h)} for h, w in shapes]
-    inputs = dict(zip(("reference", "secondary"), sizes, strict=True))
-    return replace(result, provenance={**result.provenance, "inputs": inputs})
+    first, second = (InputImage("tie points", shape) for shape in shapes)
+    return replace(result, reference=first, secondary=second)
 
 
 def keypoints_of(
@@ -217,21 +217,6 @@ def keypoints_of(
     return matcher.detector.detect_features(whole).best(matcher.n_features).xy
 
 
-def inputs_of(reference: Image, secondary: Image) -> dict[str, Any]:
-    """What the result records of its two images."""
-    return {
-        role: {
-            "path": image.name,
-            "width": image.shape[1],
-            "height": image.shape[0],
-            "scale": image.scale,
-            "dtype": image.source_dtype,
-            "valid_pixels": int(np.count_nonzero(image.mask)),
-        }
-        for role, image in (("reference", reference), ("secondary", secondary))
-    }
-
-
 def check_seed(seed: Any) -> None:
     """Raise where a seed is no whole number from 0 on."""
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
@@ -243,8 +228,8 @@ def check_keywords(keywords: Mapping[str, Any]) -> None:
     known = {name: value for name, value in keywords.items() if value is not None}
     check_seed(known.get("seed", 0))
     size = block_side(known.get("block"), known.get("dem"), known.get("height"), known.get("model"))
-    for name in ("workers", "threads"):
-        check_count(name, known.get(name))
+    worker_count(known.get("workers"))
+    worker_count(known.get("threads"), name="threads")
     if isinstance(known.get("focus"), str):
         check_method(known["focus"])
     _initial(known.get("initial"), known.get("search_radius"))

@@ -63,10 +63,10 @@ class Entry:
     summary: str = ""
     unavailable: str = ""
     on_demand: bool = False
+    table: Mapping[str, Parameter] | None = None
     block_parameters: Mapping[str, Any] = field(default_factory=dict)
     compiled: bool = True
     describes: str | None = None
-    table: Mapping[str, Parameter] | None = None
 
     @property
     def declared(self) -> Mapping[str, Parameter]:
@@ -129,22 +129,10 @@ def register_family(
         key: value if isinstance(value, Parameter) else Parameter.of(inspect.Parameter.empty, value)
         for key, value in parameters.items()
     }
-    _add(
-        Entry(
-            kind,
-            name,
-            factory,
-            module,
-            {key: parameter.default for key, parameter in table.items()},
-            summary,
-            unavailable,
-            on_demand,
-            dict(block_parameters or {}),
-            compiled,
-            describes,
-            table,
-        )
-    )
+    defaults = {key: parameter.default for key, parameter in table.items()}
+    said: dict[str, Any] = {"compiled": compiled, "describes": describes}
+    said["block_parameters"] = dict(block_parameters or {})
+    _add(Entry(kind, name, factory, module, defaults, summary, unavailable, on_demand, table, **said))
 
 
 def kind_of(cls: type[Any], name: str) -> Kind:

@@ -108,7 +108,9 @@ def cache_folders() -> set[Path]:
 
 
 def _folders(module: ModuleType) -> set[Path]:
-    return {Path(value.stats.cache_path) for value in vars(module).values() if hasattr(value, "stats")}
+    kept = (value.stats.cache_path for value in vars(module).values() if hasattr(value, "stats"))
+    # Without a folder that can be written, code has no place.
+    return {Path(folder) for folder in kept if folder is not None}
 
 
 def _cached(module: ModuleType) -> bool:

@@ -15,7 +15,7 @@ from featreg.geometry import Similarity
 from featreg.geometry.robust import fit_consensus
 from featreg.interfaces import FailedFit, Matcher, Plugin
 from featreg.pipeline.feature_matcher import FeatureMatcher
-from featreg.pipeline.trust import distinct
+from featreg.pipeline.trust_measures import distinct
 from featreg.registry import register
 from featreg.runtime.parameters import Count, Positive, Share
 from featreg.runtime.timing import stage

@@ -17,7 +17,7 @@ ROOT = Path(__file__).parents[1]
 ROOMS = ("detectors", "descriptors", "matchers")
 
 # The library's third-party imports and the distributions that bring them.
-DISTRIBUTIONS = {"cv2": "opencv-contrib-python-headless", "yaml": "pyyaml"}
+DISTRIBUTIONS = {"annotated_types": "annotated-types", "cv2": "opencv-contrib-python-headless", "yaml": "pyyaml"}
 LATE = {"cv2", "matplotlib", "pandas", "pyarrow", "rasterio", "scipy", "torch", "kornia"}
 
 

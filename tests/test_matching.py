@@ -55,7 +55,8 @@ def test_a_pair_is_registered(pair: SimulatedPair, refine: bool) -> None:
     assert {"read", "detect", "describe", "match", "gms", "fsc", "model", "trust"} <= set(found.timings)
     assert all(seconds >= 0 for seconds in found.timings.values())
     assert found.provenance["seed"] == 0
-    assert found.provenance["inputs"]["reference"]["width"] == 300
+    assert found.reference is not None
+    assert (found.reference.path, found.reference.shape) == ("array", (300, 300))
 
 
 def test_refinement_appends_rows_and_moves_none(pair: SimulatedPair) -> None:

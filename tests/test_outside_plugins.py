@@ -1,4 +1,4 @@
-"""Plugins of somebody else's package are treated as our own: conformance, scenes, comparisons, warm-up, keys."""
+"""Plugins of somebody else's package are treated as our own: conformance, scenes, comparisons, warm-up, digests."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_the_users_values_reach_a_parameter_of_any_name(site: Path, tmp_path: Pa
 import featreg
 from featreg.simulate import sar_pair
 
-pair = sar_pair((300, 320), seed=3)
+pair = sar_pair((480, 500), rotation_deg=2.0, seed=3)
 for given in ({}, {"describe": False}, {"describe": True}):
     reg = featreg.match(pair.reference, pair.secondary, detector="outside-corners", **given)
     assert reg.status == "ok", reg.reason
@@ -81,8 +81,8 @@ made = [
 scene = made[0]
 assert scene.status == whole.status == "ok", (scene.reason, whole.reason)
 assert list(scene.stages) == ["prior", "gms", "initial", "outside-agreement", "refine"], list(scene.stages)
-assert scene.provenance["parameters"]["detector"]["spacing"] == 3
-assert whole.provenance["parameters"]["detector"]["spacing"] == 4
+assert scene.provenance["parameters"]["detector"]["spacing"] == 2
+assert whole.provenance["parameters"]["detector"]["spacing"] == 3
 assert featreg.evaluate(scene, pair.truth).stage == "initial"
 assert np.array_equal(made[0].matches.reference_xy, made[1].matches.reference_xy)
 windows = featreg.match(pair.reference, pair.secondary, method="sar-orb", matcher="outside-windows", block=260,
@@ -98,12 +98,12 @@ import sys
 import featreg
 from featreg.simulate import sar_pair
 
-pair = sar_pair((300, 320), seed=3)
+pair = sar_pair((480, 500), rotation_deg=2.0, seed=3)
 methods = [("theirs", {"method": "sar-orb", "detector": "outside-corners", "filters": ["gms", "outside-agreement"]})]
 table = featreg.compare([(pair.reference, pair.secondary, pair.truth)], methods, cache="kept", timing=False,
                         metrics=["ncm", "repeatability"])
 row = table.rows[0]
-assert row["status"] == "ok" and row["ncm"] > 50, row
+assert row["status"] == "ok" and row["ncm"] > 30, row
 print(len(list(__import__("pathlib").Path("kept").glob("*.json"))))
 """
     assert run(site, "-c", code, folder=tmp_path).split()[-1] == "1"

@@ -10,16 +10,16 @@ import shutil
 import sys
 import textwrap
 from collections.abc import Mapping
-from importlib.metadata import PackageNotFoundError, requires, version
-from pathlib import Path
+from importlib.metadata import PackageNotFoundError, requires
 from typing import Annotated, Any
 
 import typer
 
-from featreg._version import __version__
+from featreg.runtime.threads import THREAD_VARIABLES, available_processors
+from featreg.runtime.versions import LIBRARIES, version_of, versions
 
-#: Distributions that decide results or are needed by a command.
-LIBRARIES = ("numpy", "scipy", "numba", "rasterio", "typer", "rich", "matplotlib", "pandas", "pyarrow")
+#: Distributions that a command needs.
+OF_COMMANDS = ("typer", "rich", "matplotlib", "pandas", "pyarrow")
 #: The four builds of OpenCV, of which any may be installed.
 OPENCV = (
     "opencv-contrib-python-headless",
@@ -93,7 +93,7 @@ def examine() -> dict[str, Any]:
         "versions": _versions(),
         "threads": _threads(),
         "kernels": {"folder": _cache_folder(), "cached": dict(kernels)},
-        "opencv": opencv.versions(),
+        "opencv": opencv.homes(),
         "hidden_plugins": dict(registry.broken()),
         "unavailable": {name: reason for name, reason in unavailable.items() if reason},
         "extras": missing_extras(),
@@ -114,7 +114,7 @@ def missing_extras() -> Mapping[str, Mapping[str, Any]]:
         extra = re.search(r"extra\s*==\s*['\"]([^'\"]+)['\"]", line)
         name = re.match(r"[A-Za-z0-9._-]+", line)
         if extra and name:
-            absent = _version(name[0]) == MISSING
+            absent = version_of(name[0]) is None
             found.setdefault(extra[1], []).extend([name[0]] if absent else [])
     return {
         name: {"missing": missing, "install": f"pip install 'featreg[{name}]'" if missing else ""}
@@ -122,35 +122,28 @@ def missing_extras() -> Mapping[str, Mapping[str, Any]]:
     }
 
 
-def _version(name: str) -> str:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return MISSING
-
-
 def _versions() -> dict[str, str]:
-    found = {
-        "featreg": __version__,
-        "Python": f"{platform.python_version()} ({sys.executable})",
+    builds = [f"{name} {number}" for name in OPENCV if (number := version_of(name)) is not None]
+    known = versions()
+    opencv = f"{known.pop('opencv', MISSING)} ({', '.join(builds) or 'of no known distribution'})"
+    return {
+        "featreg": known.pop("featreg"),
+        "Python": f"{known.pop('python')} ({sys.executable})",
         "system": f"{platform.system()} {platform.machine()}",
+        "OpenCV": opencv,
+        **{name: known.get(name) or version_of(name) or MISSING for name in (*LIBRARIES, *OF_COMMANDS)},
     }
-    builds = {name: _version(name) for name in OPENCV}
-    found |= {name: number for name, number in builds.items() if number != MISSING} or {OPENCV[0]: MISSING}
-    return found | {name: _version(name) for name in LIBRARIES}
 
 
 def _threads() -> dict[str, Any]:
-    # Under a container or taskset fewer cores may be used than there are.
-    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    found: dict[str, Any] = {"cores": os.cpu_count(), "usable cores": usable}
+    found: dict[str, Any] = {"cores": os.cpu_count(), "usable cores": available_processors()}
     try:
         import cv2
 
         found["OpenCV threads"] = cv2.getNumThreads()
     except ImportError:
         pass
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    for name in THREAD_VARIABLES:
         if name in os.environ:
             found[name] = os.environ[name]
     return found
@@ -161,5 +154,7 @@ def _cache_folder() -> str:
     from featreg.warming import cache_folders
 
     folders = sorted(str(folder) for folder in cache_folders())
-    home = str(Path.home())
+    if not folders:
+        return "no folder (none can be written, every start compiles anew; set NUMBA_CACHE_DIR)"
+    home = os.path.expanduser("~")
     return ", ".join(f"~{folder[len(home) :]}" if folder.startswith(home + os.sep) else folder for folder in folders)

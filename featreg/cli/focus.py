@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import json
-import os
 import time
-import uuid
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from featreg.cli.options import check_name, check_output, counter, limited_threads, number, progress, whole_number
+from featreg.cli.options import check_name, check_output, counter, number, progress, whole_number
 from featreg.errors import InputError, ParameterError
+from featreg.runtime.threads import limited_threads
 
 if TYPE_CHECKING:
     import numpy as np
@@ -173,20 +172,14 @@ def summary(result: FocusResult, seconds: float, written: list[str]) -> str:
 def _record(path: str, image: Image, result: FocusResult) -> dict[str, Any]:
     from featreg.runtime.versions import versions
 
-    def finite(value: float | None) -> float | None:
-        return value if value is not None and abs(value) < float("inf") else None
-
     height, width = image.shape
     return {
         "schema_version": 1,
         "method": result.method,
         "status": result.status,
         "reason": result.reason,
-        "deviation": finite(result.deviation),
-        "gates": {
-            name: {"value": finite(g.value), "passed": g.passed, "low": g.low, "high": g.high, "meaning": g.meaning}
-            for name, g in result.gates.items()
-        },
+        "deviation": result.deviation if result.deviation < float("inf") else None,
+        "gates": {name: gate.to_dict() for name, gate in result.gates.items()},
         "input": {"path": path, "width": width, "height": height},
         "image_entropy": list(result.image_entropy),
         "entropy": result.entropy.tolist(),
@@ -199,19 +192,12 @@ def _record(path: str, image: Image, result: FocusResult) -> dict[str, Any]:
 
 
 def _write_image(target: Path, pixels: NDArray[np.complex64], source: Image) -> None:
-    if target.suffix.lower() != ".npy":
-        from featreg.io import write_geotiff
+    from featreg.io.writers import replacing, write_geotiff
 
+    if target.suffix.lower() != ".npy":
         write_geotiff(target, pixels, source.geolocation)
         return
     import numpy as np
 
-    temporary = target.with_name(f".{target.name}.{uuid.uuid4().hex}.tmp")
-    try:
-        with temporary.open("wb") as file:
-            np.save(file, pixels, allow_pickle=False)
-        os.replace(temporary, target)
-    except OSError as error:
-        raise InputError(f"{target}: cannot be written ({error.strerror})") from error
-    finally:
-        temporary.unlink(missing_ok=True)
+    with replacing(target) as temporary, temporary.open("wb") as file:
+        np.save(file, pixels, allow_pickle=False)

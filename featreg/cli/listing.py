@@ -78,7 +78,7 @@ def list_names(
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON for machines.")] = False,
 ) -> None:
-    """List methods and parts, one line each, or show what one of them takes."""
+    """List methods and parts, or show what one of them takes."""
     from featreg.registry import broken
 
     items = {kind: _items(kind) for kind in KINDS}

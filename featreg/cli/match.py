@@ -12,7 +12,6 @@ from featreg.cli.options import (
     announce_compiling,
     check_output,
     distance,
-    limited_threads,
     parse_settings,
     progress,
     whole_number,
@@ -20,6 +19,7 @@ from featreg.cli.options import (
 from featreg.cli.scene import BlockOptions, block_progress, image_to_draw, kept_when_interrupted, may_be_blocks
 from featreg.errors import InputError, ParameterError
 from featreg.pipeline.keywords import KEYWORDS
+from featreg.runtime.threads import limited_threads
 
 if TYPE_CHECKING:
     from featreg.results.registration import Registration
@@ -109,7 +109,7 @@ def match(
     blocks.check(workers)
     in_blocks = may_be_blocks(blocks, [reference, secondary])
     if in_blocks:
-        from featreg.runtime.executors import keep_freed_memory
+        from featreg.runtime.workers import keep_freed_memory
 
         keep_freed_memory()
     with kept_when_interrupted(blocks.resume), limited_threads(workers, 1 if in_blocks else None):
@@ -197,21 +197,21 @@ def _describe(result: Registration) -> str:
     model = result.model
     if isinstance(model, FailedFit):
         return f"none: {model.reason}"
-    size = result.provenance["inputs"]["reference"]
-    centre = np.array([[(size["width"] - 1) / 2, (size["height"] - 1) / 2]])
-    rotation, zoom, _, _ = decompose(local_linear(model, centre)[0])
+    height, width = (1, 1) if result.reference is None else result.reference.shape
+    centre = np.array([[(width - 1) / 2, (height - 1) / 2]])
+    linear = decompose(local_linear(model, centre)[0])
     dx, dy = (model(centre) - centre)[0]
     errors = result.standard_errors
     if errors:
         sx, sy = errors["shift_se_px"]
         return (
-            f"{model_name(type(model))}: rotation {rotation:+.3f} +- {errors['rotation_deg_se']:.3f} deg "
+            f"{model_name(type(model))}: rotation {linear.rotation_deg:+.3f} +- {errors['rotation_deg_se']:.3f} deg "
             f"counter-clockwise, shift ({dx:+.2f} +- {sx:.2f}, {dy:+.2f} +- {sy:.2f}) px (right, down), "
             "with standard errors, at the image centre"
         )
     return (
-        f"{model_name(type(model))}: rotation {rotation:+.3f} deg counter-clockwise, scale {zoom:.5f}, "
-        f"shift ({dx:+.2f}, {dy:+.2f}) px (right, down), all at the image centre"
+        f"{model_name(type(model))}: rotation {linear.rotation_deg:+.3f} deg counter-clockwise, "
+        f"scale {linear.scale:.5f}, shift ({dx:+.2f}, {dy:+.2f}) px (right, down), all at the image centre"
     )
 
 

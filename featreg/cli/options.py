@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
@@ -15,11 +14,10 @@ import typer
 
 from featreg.errors import InputError, ParameterError, suggest
 from featreg.pipeline.keywords import BY_NAME
+from featreg.runtime.files import folder_of, is_stream
 
 COMPILING = "compiling kernels, the first time only (about half a minute)"
 WORDS = {"true": True, "false": False, "none": None, "inf": float("inf"), "-inf": float("-inf"), "nan": float("nan")}
-#: Read by the numeric libraries when they are first imported.
-THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
 def whole_number(least: int) -> Callable[[Any], int]:
@@ -194,7 +192,8 @@ def check_output(path: str | None, what: str, *, suffixes: Sequence[str] = (), i
         )
     if suffixes and target.suffix.lower() not in suffixes:
         raise InputError(f"{what} '{path}' must end in {' or '.join(suffixes)}")
-    check_folder(target.parent, f"{what} '{path}'")
+    if not is_stream(target):
+        check_folder(folder_of(target), f"{what} '{path}'")
     if target.exists() and not os.access(target, os.W_OK):
         raise InputError(f"{what} '{path}' exists and may not be replaced, give another name")
     for given in inputs:
@@ -217,31 +216,6 @@ def check_name(given: str, known: Iterable[str], what: str) -> None:
     names = list(known)
     if given not in names:
         raise ParameterError(f"unknown {what} '{given}', {suggest(given, names)}")
-
-
-@contextmanager
-def limited_threads(count: int | None, algebra: int | None = None) -> Iterator[None]:
-    """Let the libraries use at most `count` threads inside the block; None leaves them alone.
-
-    `algebra` is the limit of the linear algebra where it is to be another.
-
-    OpenCV is told directly. The linear algebra reads its limit when it is first imported, which is why the commands
-    import nothing heavy before this.
-    """
-    algebra = count if algebra is None else algebra
-    if algebra is not None and "numpy" not in sys.modules:
-        os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(algebra)))
-    if count is None:
-        yield
-        return
-    import cv2
-
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(count)
-    try:
-        yield
-    finally:
-        cv2.setNumThreads(before)
 
 
 def progress(text: str) -> None:

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from featreg.cli.options import NodataOption, check_name, check_output, counter, limited_threads, whole_number
+from featreg.cli.options import NodataOption, check_name, check_output, counter, whole_number
+from featreg.runtime.threads import limited_threads
 
 if TYPE_CHECKING:
     from featreg.products.warping import Product

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from featreg.errors import InputError, ParameterError, suggest
 from featreg.interfaces import FailedFit, Model
-from featreg.products.grid import recorded, size_of
 from featreg.results.json_file import tie_point_columns
 from featreg.results.registration import Registration
 from featreg.types import BoolArray, FloatArray, Geolocation, Matches
@@ -75,8 +74,7 @@ def content_of(
         except InputError as error:
             # The elevation model of an RPC bias need not be at hand where the tie points are all that is wanted.
             logger.warning("the model cannot be used, so residuals are left out (%s)", error)
-            why = f"it cannot be used ({error})"
-            registration = replace(registration, model=FailedFit(why), status="unreliable", reason=why)
+            registration = replace(registration, model=FailedFit(str(error)))
     columns = {name: values[rows] for name, values in tie_point_columns(registration).items()}
     images = [_info(registration, role, path) for role, path in (("reference", reference), ("secondary", secondary))]
     return Content(matches, offset, columns, model, *images)
@@ -105,9 +103,9 @@ def rows_of(registration: Registration, stage: str) -> BoolArray:
 def _info(registration: Registration, role: str, given: str | Path | None) -> ImageInfo:
     from featreg.io.raster_source import RasterSource
 
-    known = recorded(registration, role)
-    path = str(given if given is not None else known.get("path") or role)
-    size = size_of(known) or (0, 0)
+    known = registration.reference if role == "reference" else registration.secondary
+    path = str(given) if given is not None else role if known is None else known.path
+    size = (0, 0) if known is None else known.shape
     if given is None and not Path(path).is_file():
         return ImageInfo(path, size)
     try:

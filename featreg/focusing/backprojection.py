@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from featreg.errors import InputError, ParameterError, PluginUnavailableError
 from featreg.runtime.parameters import Count, checked
+from featreg.runtime.threads import worker_count
 from featreg.types import FloatArray, Image, read_only
 
 if TYPE_CHECKING:
@@ -143,6 +144,7 @@ def back_project(
     ----------
     L. A. Gorham, L. J. Moore, SAR image formation toolbox for MATLAB, Proc. SPIE 7699, 2010, doi:10.1117/12.855375
     """
+    workers = worker_count(workers)
     if device is not None and backend != "torch":
         raise ParameterError(f"device '{device}' needs backend='torch'")
     plan = _Plan.of(history, grid or GroundGrid(), range_window, azimuth_window, upsampling)

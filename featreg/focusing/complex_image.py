@@ -29,7 +29,8 @@ from featreg.interfaces import Detector
 from featreg.io import SMALLEST, ImageLike, as_image
 from featreg.registry import create, entry
 from featreg.runtime.parameters import Count, Share, checked
-from featreg.types import BoolArray, FloatArray, Gate, Image, IntArray, read_only
+from featreg.runtime.threads import worker_count
+from featreg.types import BoolArray, FloatArray, Gate, Image, IntArray, read_only, verdict
 
 C64 = NDArray[np.complex64]
 Progress = Callable[[int, int], None]
@@ -166,15 +167,14 @@ def focus(
 def _whole(pixels: NDArray[Any], energy: FloatArray, before: float, *, settings: _Settings) -> FocusResult:
     """Focus with one phase for all range cells."""
     out = np.empty(pixels.shape, np.complex64)
-    chosen, found, verdict, band = _estimated(pixels, energy, out, settings)
+    chosen, found, check, band = _estimated(pixels, energy, out, settings)
     phase = band.detrended(found.phase) if settings.detrend else found.phase
     apply_phase(pixels, phase, settings.axis, out, workers=settings.workers)
     after = image_entropy(out, workers=settings.workers)
-    gates = _gates(len(chosen), len(band.order), verdict, (before, after))
-    reason = _reason(gates)
+    gates = _gates(len(chosen), len(band.order), check, (before, after))
     return FocusResult(
-        read_only(out), phase, found.entropy, found.iterations, chosen, "unreliable" if reason else "ok", reason,
-        verdict.deviation, (before, after), gates, settings.method, (0, pixels.shape[1 - settings.axis]),
+        read_only(out), phase, found.entropy, found.iterations, chosen, *verdict(gates, _reason),
+        check.deviation, (before, after), gates, settings.method, (0, pixels.shape[1 - settings.axis]),
     )  # fmt: skip
 
 
@@ -247,30 +247,33 @@ def _counts(pixels: NDArray[Any], cells: int, settings: _Settings) -> IntArray:
     return count_points(found.xy, settings.axis, cells)
 
 
-def _gates(cells: int, pulses: int, verdict: autofocus.Check, entropy: tuple[float, float]) -> dict[str, Gate]:
-    enough = bool(cells >= LEAST_CELLS and np.isfinite(verdict.halves))
-    deviation = verdict.deviation if enough else None
-    half, unsettled, gain = (v if enough else None for v in (verdict.halves / 2, verdict.unsettled, verdict.gain))
+def _gates(cells: int, pulses: int, check: autofocus.Check, entropy: tuple[float, float]) -> dict[str, Gate]:
+    # Without two places in range nothing can be held out, however many cells there are: their number tells nothing.
+    apart = bool(np.isfinite(check.halves))
+    deviation, half, unsettled, gain = (
+        value if apart and cells >= LEAST_CELLS else None
+        for value in (check.deviation, check.halves / 2, check.unsettled, check.gain)
+    )
     limit = autofocus.LIMIT
     rise = entropy[1] - entropy[0]
     # Where the image was sharp before, a half's phase has nothing to sharpen, and its noise blurs the other half.
     claimed = rise < -CLAIM
     return {
-        "pulses": Gate(float(pulses), pulses >= LEAST_PULSES, LEAST_PULSES, None, "pulses that carry signal"),
-        "cells": Gate(float(cells), enough, LEAST_CELLS, None, "range cells, of two places in range at least"),
-        "deviation": Gate(deviation, enough and bool(verdict.deviation <= limit), None, limit,
-                          "expected error of the phase, radians RMS"),
-        "held out": Gate(half, enough and verdict.halves / 2 <= limit, None, limit,
+        "pulses": Gate(pulses, LEAST_PULSES, None, "pulses that carry signal"),
+        "cells": Gate(cells if apart or cells < LEAST_CELLS else None, LEAST_CELLS, None,
+                      "range cells, of two places in range at least"),
+        "deviation": Gate(deviation, None, limit, "expected error of the phase, radians RMS"),
+        "held out": Gate(half, None, limit,
                          "half the difference of the phases of two halves of the range cells, radians RMS"),
-        "settled": Gate(unsettled, enough and verdict.unsettled <= limit, None, limit,
+        "settled": Gate(unsettled, None, limit,
                         "how far the phase moves when minimum entropy goes on from it, radians RMS"),
-        "sharpness": Gate(gain, enough and bool(verdict.gain > 0 or not claimed), 0.0 if claimed else None, None,
+        "sharpness": Gate(gain, 0.0 if claimed else None, None,
                           "entropy by which one half's phase sharpens the other half, nats"),
-        "entropy": Gate(float(rise), rise <= 0.01, None, 0.01, "rise of the image's entropy, nats"),
+        "entropy": Gate(rise, None, 0.01, "rise of the image's entropy, nats"),
     }  # fmt: skip
 
 
-def _reason(gates: Mapping[str, Gate]) -> str:
+def _reason(failed: Mapping[str, Gate]) -> str:
     """One line on the gates that failed."""
     texts = {
         "pulses": "too few pulses carry signal for a phase to be seen",
@@ -281,13 +284,13 @@ def _reason(gates: Mapping[str, Gate]) -> str:
         "entropy": "the entropy of the image rose",
         "deviation": "the expected error of the phase is too large",
     }
-    failed = [name for name in texts if not gates[name].passed]
-    for name in ("pulses", "cells"):
-        if name in failed:
-            return texts[name]
-    if len(failed) > 1 and "deviation" in failed:
-        failed.remove("deviation")
-    return "; ".join(f"{texts[name]}: {gates[name].value:.2f}" for name in failed)
+    names = [name for name in texts if name in failed]
+    if names[0] in ("pulses", "cells"):
+        return texts[names[0]]
+    if len(names) > 1 and "deviation" in names:
+        names.remove("deviation")
+    values = {name: failed[name].value for name in names}
+    return "; ".join(texts[name] + ("" if value is None else f": {value:.2f}") for name, value in values.items())
 
 
 def _settings(
@@ -315,7 +318,7 @@ def _settings(
         if progress is not None:
             progress(done, max_iterations)
 
-    count = default_workers() if workers is None else int(workers)
+    count = worker_count(workers, default_workers())
     return _Settings(
         method, azimuth_axis, fraction, bool(normalize), detector, int(max_iterations), bool(detrend), count, each
     )

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from featreg.runtime.threads import available_processors
 from featreg.types import FloatArray, IntArray
 
 C64 = NDArray[np.complex64]
@@ -232,6 +233,6 @@ def default_workers() -> int:
     """Threads that a call may take: the cores of this process, less where OpenCV or OMP_NUM_THREADS has a limit."""
     import cv2
 
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = available_processors()
     stated = os.environ.get("OMP_NUM_THREADS", "")
     return max(1, min(cores, cv2.getNumThreads(), int(stated) if stated.isdigit() and int(stated) else cores))

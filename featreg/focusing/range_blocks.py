@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -14,7 +14,7 @@ from featreg.focusing.phase_error import Band
 from featreg.focusing.pulse_spectra import pulse_spectra
 from featreg.focusing.range_cells import cell_energies
 from featreg.focusing.result import FocusResult
-from featreg.types import BoolArray, FloatArray, Gate, read_only
+from featreg.types import BoolArray, FloatArray, Gate, read_only, verdict
 
 Whole = Callable[[NDArray[Any], FloatArray, float], FocusResult]
 
@@ -76,22 +76,23 @@ def focus_blocks(
         apply_phase(block(pixels, number), phase[number], azimuth_axis, block(out, number), workers=workers)
     after = image_entropy(out, workers=workers)
     gates = {
-        "blocks": Gate(float(len(trusted)), 2 * len(trusted) >= count, count / 2, None, "blocks with a trusted phase"),
-        "entropy": Gate(after - before, after - before <= 0.01, None, 0.01, "rise of the image's entropy, nats"),
+        "blocks": Gate(len(trusted), count / 2, None, "blocks with a trusted phase"),
+        "entropy": Gate(after - before, None, 0.01, "rise of the image's entropy, nats"),
     }
     results = [found[i] for i in used]
-    reason = ""
-    if not gates["blocks"].passed:
+
+    def reason(failed: Mapping[str, Gate]) -> str:
+        if "blocks" not in failed:
+            return f"the entropy of the image rose: {after - before:.2f}"
         reasons = [result.reason for result in found if result is not None and result.reason]
         first = reasons[0] if reasons else "they are empty"
-        reason = f"only {len(trusted)} of {count} range blocks have a trusted phase; {first}"
-    elif not gates["entropy"].passed:
-        reason = f"the entropy of the image rose: {after - before:.2f}"
+        return f"only {len(trusted)} of {count} range blocks have a trusted phase; {first}"
+
     cells = [result.cells + edges[i] for i, result in zip(used, results, strict=True) if result is not None]
     known = [result for result in results if result is not None]
     return FocusResult(
         read_only(out), phase, _mean_entropy(known), max(result.iterations for result in known), np.concatenate(cells),
-        "unreliable" if reason else "ok", reason, max(result.deviation for result in known), (before, after), gates,
+        *verdict(gates, reason), max(result.deviation for result in known), (before, after), gates,
         known[0].method, tuple(edges),
     )  # fmt: skip
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import math
 import threading
@@ -17,6 +16,7 @@ import numpy as np
 
 from featreg.errors import InputError
 from featreg.geolocation.projection import Projection
+from featreg.runtime.digests import digest_file
 from featreg.types import BoolArray, FloatArray
 
 #: Cells along each side of a tile of the elevation model, and tiles kept: at most 64 MB.
@@ -234,8 +234,7 @@ class DemHeights(Heights):
         with state.lock:
             if not state.digest:
                 try:
-                    with Path(self.path).open("rb") as file:
-                        state.digest = hashlib.file_digest(file, "sha256").hexdigest()
+                    state.digest = digest_file(self.path)
                 except OSError as error:
                     raise InputError(f"{self.path}: cannot be read as an elevation model ({error.strerror})") from error
             return state.digest

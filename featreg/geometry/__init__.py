@@ -11,7 +11,7 @@ GeometricModel
 """
 
 from featreg.geometry.base import GeometricModel, MatrixModel, decompose
-from featreg.geometry.cells import dilution, rigid_standard_errors, selection_cut
+from featreg.geometry.cells import dilution, rigid_standard_errors, selection_cut, spread
 from featreg.geometry.convert import as_model, local_linear, model_from_dict, model_from_matrix, model_to_dict
 from featreg.geometry.corrected import CorrectedModel
 from featreg.geometry.homography import Homography
@@ -55,4 +55,5 @@ __all__ = [
     "rigid_standard_errors",
     "rigid_uncertainty",
     "selection_cut",
+    "spread",
 ]

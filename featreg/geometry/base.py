@@ -92,10 +92,10 @@ class LinearPart(NamedTuple):
 
     Parameters
     ----------
-    rotation_deg : counter-clockwise as seen, of the nearest rotation (polar decomposition); NaN for a reflection
+    rotation_deg : of the nearest rotation (polar decomposition), counter-clockwise as seen; NaN for a reflection
     scale : sqrt |det|
-    anisotropy : ratio of the singular values, >= 1
-    shear_deg : degrees by which the angle between the mapped axes falls short of 90
+    anisotropy : ratio of the singular values, >= 1; inf where the part is flat
+    shear_deg : by how many degrees the angle between the mapped axes falls short of 90
     """
 
     rotation_deg: float
@@ -105,7 +105,7 @@ class LinearPart(NamedTuple):
 
 
 def decompose(linear: ArrayLike) -> LinearPart:
-    """Return rotation, scale, anisotropy and shear of a (2, 2) linear part."""
+    """Return what a (2, 2) linear part does: its rotation, scale, anisotropy and shear."""
     (a, b), (c, d) = np.asarray(linear, np.float64).tolist()
     det = a * d - b * c
     rotation = math.degrees(math.atan2(b - c, a + d)) if det > 0 else math.nan

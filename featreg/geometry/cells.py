@@ -14,6 +14,8 @@ from featreg.types import FloatArray, IntArray
 
 #: Side of the square cells in which tie points share their errors, px: that of the correlated patches, which overlap.
 CELL_PX = 96.0
+#: Cells along each side of an image by which the spread of points is told.
+SPREAD_CELLS = 8
 #: Where between the longest residual that was kept and the next one the limit of the selection is taken to lie.
 CUT_SHARE = 0.3
 #: Largest standard deviation that a selection tells of, over its limit.
@@ -28,15 +30,13 @@ def cells(xy: FloatArray, side: float = CELL_PX) -> IntArray:
     return np.asarray(y * (1 << 24) + x)
 
 
-def spread(xy: FloatArray, shape: tuple[int, int], count: int = 8) -> float:
-    """Return the share of the cells of a `count` x `count` grid over an image of shape (H, W) that hold a point.
-
-    The image ends half a pixel beyond the centres of its outer pixels; of (M, 2) points, those outside do not count.
-    """
-    share = (xy + 0.5) / (shape[1], shape[0])
-    share = share[((share >= 0) & (share <= 1)).all(axis=1)]
-    cell = np.minimum((share * count).astype(np.int64), count - 1)
-    return len(np.unique(cell[:, 1] * count + cell[:, 0])) / count**2
+def spread(xy: ArrayLike, shape: tuple[int, int]) -> float:
+    """Return the share of the cells of an 8 x 8 grid over an image of (H, W) that hold one of (M, 2) points."""
+    # A pixel covers half a pixel on either side of its centre, and so does the image.
+    place = (np.asarray(xy, np.float64).reshape(-1, 2) + 0.5) / shape[::-1]
+    place = place[((place >= 0) & (place <= 1)).all(axis=1)]
+    cell = np.minimum((place * SPREAD_CELLS).astype(np.int64), SPREAD_CELLS - 1)
+    return len(np.unique(cell, axis=0)) / SPREAD_CELLS**2
 
 
 def dilution(model: Model, reference_xy: FloatArray, secondary_xy: FloatArray, *, at: ArrayLike) -> float:

@@ -59,7 +59,7 @@ def unavailable(name: str) -> str:
     return found if isinstance(found, str) else ""
 
 
-def versions() -> dict[str, str]:
+def homes() -> dict[str, str]:
     """Return, for every algorithm known to featreg, the module of OpenCV that holds it or why none does."""
     where = {}
     for name in ALGORITHMS:

@@ -5,7 +5,6 @@ The rules are those of `featreg.io.as_image`: linear amplitude or complex64, inv
 
 from __future__ import annotations
 
-import hashlib
 import os
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -20,6 +19,7 @@ from featreg.io.raster_files import CACHE_BYTES, Head, inferred_scale, read_head
 from featreg.io.readers import Raster
 from featreg.io.scales import SCALES, complex_pixels, real_pixels
 from featreg.io.window import Window
+from featreg.runtime.digests import digest_bytes
 from featreg.types import BoolArray, Geolocation, Image, read_only
 
 __all__ = [
@@ -239,7 +239,7 @@ class ImageSource:
 
     def identity(self) -> dict[str, Any]:
         """A digest of the pixels and of the mask."""
-        sums = [hashlib.sha256(np.ascontiguousarray(a).data).hexdigest() for a in (self.image.pixels, self.image.mask)]
+        sums = [digest_bytes(np.ascontiguousarray(a)) for a in (self.image.pixels, self.image.mask)]
         return {"sha256": sums, "shape": list(self.shape), "scale": self.known_scale}
 
     @property
@@ -293,7 +293,7 @@ def fingerprint(path: str | Path) -> dict[str, Any]:
                 ends += file.read(FINGERPRINT)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); give the path of an existing file") from error
-    return {"bytes": known.st_size, "time_ns": known.st_mtime_ns, "ends": hashlib.sha256(ends).hexdigest()}
+    return {"bytes": known.st_size, "time_ns": known.st_mtime_ns, "ends": digest_bytes(ends)}
 
 
 def _padded(

@@ -1,13 +1,7 @@
-"""Files appear whole or not at all, never in place of an input; arrays to GeoTIFF.
-
-Everything is written under a temporary name in the folder of the target, so that the last step is a rename.
-"""
+"""Files appear whole or not at all, never in place of an input; arrays to GeoTIFF."""
 
 from __future__ import annotations
 
-import os
-import shutil
-import uuid
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,6 +12,7 @@ from numpy.typing import NDArray
 
 from featreg.errors import FeatregError, InputError
 from featreg.io.readers import quiet, reason
+from featreg.runtime.files import temporary_path
 from featreg.types import Geolocation
 
 
@@ -40,20 +35,14 @@ def replacing(path: str | Path, *, inputs: Iterable[Any] = ()) -> Iterator[Path]
     refuse_input(path, inputs)
     if path.is_dir():
         raise InputError(f"{path}: is a directory, the name of a file is needed")
-    # A folder of its own: GDAL and SQLite put files of their own beside the one they write.
-    folder = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
     try:
-        folder.mkdir()
-        temporary = folder / path.name
-        yield temporary
-        os.replace(temporary, path)
+        with temporary_path(path) as temporary:
+            yield temporary
     except Exception as error:
         if isinstance(error, FeatregError) or not _of_writing(error):
             raise
         message = f"{path}: cannot be written ({reason(error)}); give a file in an existing, writable folder"
         raise InputError(message) from error
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _of_writing(error: Exception) -> bool:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import uuid
 from pathlib import Path
 from threading import RLock
 from typing import Any
@@ -18,6 +16,7 @@ from featreg.exports.content import Content, ImageInfo
 from featreg.exports.formats import read_tie_points
 from featreg.geometry import Affine, Similarity
 from featreg.interfaces import FailedFit, Model
+from featreg.io.writers import replacing
 from featreg.types import FloatArray, Matches
 
 #: Ending of the file -> how it is written.
@@ -142,15 +141,8 @@ class MarkedPoints:
         columns = dict(zip(COLUMNS, points.T, strict=True)) | {"residual": self._residuals(model)}
         info = [ImageInfo(name, shape) for name, shape in zip(self.images, self.shapes, strict=True)]
         content = Content(matches, offset, columns, model or FailedFit("too few points"), *info)
-        temporary = self.path.with_name(f".{self.path.name}.{uuid.uuid4().hex}.tmp")
-        try:
-            try:
-                WRITERS[self.path.suffix.lower()](content, temporary)
-                os.replace(temporary, self.path)
-            finally:
-                temporary.unlink(missing_ok=True)
-        except OSError as error:
-            raise InputError(f"cannot write '{self.path}': {error.strerror}") from error
+        with replacing(self.path) as temporary:
+            WRITERS[self.path.suffix.lower()](content, temporary)
 
     def _residuals(self, model: Model | None) -> FloatArray:
         points = self.points

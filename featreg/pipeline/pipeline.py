@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import takewhile
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from featreg.errors import ParameterError
 from featreg.interfaces import Filter, FilterContext, Matcher, Model
+from featreg.pipeline.inputs import input_image
 from featreg.pipeline.refine import Refine
 from featreg.pipeline.steps import Draft, filtered, fitted, judged, refined
 from featreg.pipeline.trust import Limits
@@ -94,7 +95,7 @@ class Pipeline:
                 draft, *shapes, seed=seed, initial=initial, search_radius=search_radius, seconds=timings
             )
             steps.advance()
-        return result
+        return replace(result, reference=input_image(reference), secondary=input_image(secondary))
 
     def fit(
         self, matches: Matches, reference_shape: tuple[int, int], secondary_shape: tuple[int, int], *, seed: int = 0

@@ -15,7 +15,7 @@ from featreg.geometry import inverse_variances
 from featreg.geometry.robust import irls
 from featreg.interfaces import FailedFit, Filter, FilterContext, Model
 from featreg.pipeline.refine import Refined
-from featreg.pipeline.trust import Limits, assess
+from featreg.pipeline.trust import Evidence, Limits, assess
 from featreg.runtime.timing import stage
 from featreg.types import BoolArray, FloatArray, Gate, IntArray, Matches
 
@@ -134,7 +134,7 @@ def refined(draft: Draft, found: Refined | None, least: int = 0) -> Draft:
 
 def judged(
     draft: Draft,
-    shapes: Sequence[tuple[int, int]],
+    shapes: tuple[tuple[int, int], tuple[int, int]],
     limits: Limits,
     *,
     initial: Model | None = None,
@@ -152,19 +152,17 @@ def judged(
     further : gates of the caller, which count as the others do
     """
     with stage("trust"):
-        return assess(
+        evidence = Evidence(
             draft.matches,
             draft.putative,
             draft.supported,
             draft.inliers,
             draft.model,
-            shapes[0],
-            shapes[1],
-            limits,
-            initial,
-            search_radius,
-            further,
+            *shapes,
+            initial=initial,
+            search_radius=search_radius,
         )
+        return assess(evidence, limits, further)
 
 
 def _distinct_rows(xy: FloatArray) -> IntArray:

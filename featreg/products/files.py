@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -18,6 +17,7 @@ from featreg.io.raster_source import CACHE_BYTES, Window
 from featreg.io.writers import geolocation_profile
 from featreg.products.grid import Grid
 from featreg.products.samples import Encoding
+from featreg.runtime.threads import available_processors, worker_count
 
 #: Side of an output window, px; of the tiles inside the file.
 WINDOW, TILE = 1024, 512
@@ -35,7 +35,7 @@ class Runner:
 
     @property
     def workers(self) -> int:
-        return max(1, self.threads or min(os.cpu_count() or 1, MOST_WORKERS))
+        return worker_count(self.threads, min(available_processors(), MOST_WORKERS))
 
     def run(self, work: Callable[[Window], Any], shape: tuple[int, int]) -> Iterator[tuple[Window, Any]]:
         windows = list(windows_of(shape))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from featreg.interfaces import Model
 from featreg.io.raster_source import RasterSource
 from featreg.products.lattice import OtherGrids, resized
 from featreg.products.resample import model_of, stated_shape
+from featreg.results.input_image import InputImage
 from featreg.results.registration import Registration
 from featreg.types import FloatArray, Geolocation
 
@@ -42,27 +42,15 @@ class Grid:
     to_matched: FloatArray
 
 
-def recorded(registration: Registration, role: str) -> dict[str, Any]:
-    """Return what a registration says of its "reference" or "secondary": path, width, height, scale, where known."""
-    inputs = registration.provenance.get("inputs") or {}
-    return dict(inputs.get(role) or {})
-
-
 def inputs_of(registration: Registration) -> list[str]:
     """Return the files that a registration rests on and that no output may replace: images, an elevation model."""
     from featreg.geolocation import DemHeights, RpcBias
 
-    paths = [recorded(registration, role).get("path") for role in ("reference", "secondary")]
+    paths = [image.path for image in (registration.reference, registration.secondary) if image is not None]
     model = registration.model
     if isinstance(model, RpcBias) and isinstance(model.heights, DemHeights):
         paths.append(model.heights.path)
-    return [path for path in paths if isinstance(path, str)]
-
-
-def size_of(known: dict[str, Any]) -> tuple[int, int] | None:
-    """Return (H, W) of a recorded image."""
-    height, width = known.get("height"), known.get("width")
-    return (int(height), int(width)) if height and width else None
+    return paths
 
 
 def reference_grid(registration: Registration, like: str | Path | tuple[int, int] | None) -> Grid:
@@ -73,18 +61,18 @@ def reference_grid(registration: Registration, like: str | Path | tuple[int, int
     InputError
         The size is not known, or `like` cannot be the reference.
     """
-    known = recorded(registration, "reference")
-    size = size_of(known)
+    known = registration.reference
+    size = None if known is None else known.shape
     if isinstance(like, tuple):
         return Grid(stated_shape(like), None, None, IDENTITY)
     if like is not None:
         source = RasterSource(str(like), band=1)
         same = IDENTITY if size is None else _same_footprint(str(like), source.shape, "reference", size)
         return Grid(source.shape, source.geolocation, str(like), _inverse_scale(same))
-    if size is None:
+    if known is None or size is None:
         raise InputError("the registration does not say the reference's size; give the reference image as like")
-    path = known.get("path")
-    if isinstance(path, str) and Path(path).is_file():
+    path = known.path
+    if Path(path).is_file():
         try:
             source = RasterSource(path, band=1)
             if source.shape == size:
@@ -113,8 +101,8 @@ def grid_model(
         The file cannot show the footprint of the matched secondary.
     """
     model = model_of(registration)
-    known = recorded(registration, "secondary")
-    size, secondary = size_of(known), source.path
+    known, secondary = registration.secondary, source.path
+    size = None if known is None else known.shape
     if scale is not None:
         if not all(np.isfinite(s) and s > 0 for s in scale):
             raise ParameterError(f"the secondary's scale must be > 0, got {scale}")
@@ -122,7 +110,7 @@ def grid_model(
         if size is not None:
             _check_scale(secondary, source.shape, size, scale)
     else:
-        located = _by_georeferencing(known.get("path"), size, source)
+        located = None if known is None else _by_georeferencing(known, source)
         if located is not None:
             after = located
         else:
@@ -132,14 +120,14 @@ def grid_model(
     return OtherGrids(model, grid.to_matched, after)
 
 
-def _by_georeferencing(matched: Any, size: tuple[int, int] | None, source: RasterSource) -> FloatArray | None:
+def _by_georeferencing(matched: InputImage, source: RasterSource) -> FloatArray | None:
     """The map from the matched secondary to another file, where both have a geotransform of one coordinate system."""
-    if not isinstance(matched, str) or not Path(matched).is_file() or Path(matched).samefile(source.path):
+    if not Path(matched.path).is_file() or Path(matched.path).samefile(source.path):
         return None
     try:
-        old = RasterSource(matched, band=1)
+        old = RasterSource(matched.path, band=1)
         first, second = old.geolocation, source.geolocation
-        if old.shape != size:
+        if old.shape != matched.shape:
             return None
     except InputError:
         return None

@@ -209,8 +209,6 @@ def _reference_shape(registration: Registration, like: ImageLike | tuple[int, in
         if len(shape) != 2:
             raise InputError(f"like must be the reference image or its (H, W), got an array of shape {shape}")
         return shape[0], shape[1]
-    try:
-        reference = registration.provenance["inputs"]["reference"]
-        return int(reference["height"]), int(reference["width"])
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError("the registration does not say the reference's size; give it as like=(H, W)") from error
+    if registration.reference is None:
+        raise InputError("the registration does not say the reference's size; give it as like=(H, W)")
+    return registration.reference.shape

@@ -23,7 +23,7 @@ from featreg.io.writers import refuse_input, replacing
 from featreg.products.coherence import coherence as coherence_of
 from featreg.products.coherence import window_size
 from featreg.products.files import Runner, bounded_cache, cloud_optimised, rasterio_window, tiled_tiff
-from featreg.products.grid import Grid, grid_model, inputs_of, recorded, reference_grid
+from featreg.products.grid import Grid, grid_model, inputs_of, reference_grid
 from featreg.products.lattice import Lattice, lattice_of
 from featreg.products.phase_ramp import PhaseRamp, estimate_phase_ramp
 from featreg.products.resample import TAPS, Support
@@ -259,10 +259,12 @@ def _sources(secondary: str, band: int | None, scale: str | None, nodata: float 
 
 
 def _recorded_scale(registration: Registration, secondary: str) -> str | None:
-    known = recorded(registration, "secondary")
-    path, scale = str(known.get("path")), known.get("scale")
-    same = path == secondary or (Path(path).exists() and Path(secondary).exists() and Path(path).samefile(secondary))
-    return str(scale) if same and scale in ("amplitude", "intensity", "db") else None
+    known = registration.secondary
+    if known is None or known.scale == "complex":
+        return None
+    path, other = Path(known.path), Path(secondary)
+    same = known.path == secondary or (path.exists() and other.exists() and path.samefile(other))
+    return known.scale if same else None
 
 
 def _partner(grid: Grid) -> RasterSource:

@@ -97,9 +97,9 @@ def _size(pair: ReportPair, entries: Sequence[ReportEntry]) -> tuple[int, int] |
     """(width, height) of the reference as a result says it."""
     for entry in entries:
         if entry.pair == pair.name and entry.registration is not None:
-            said = (entry.registration.provenance.get("inputs") or {}).get("reference") or {}
-            if said.get("width") and said.get("height"):
-                return int(said["width"]), int(said["height"])
+            image = entry.registration.reference
+            if image is not None:
+                return image.shape[1], image.shape[0]
     return None
 
 
@@ -136,10 +136,7 @@ def _entry(entry: ReportEntry, pair: int, methods: list[str], size: tuple[int, i
             *([name, int(mask.sum())] for name, mask in registration.stages.items()),
             ["final", int(registration.inliers.sum())],
         ],
-        "gates": [
-            {"name": name, **{k: plain(getattr(gate, k)) for k in ("value", "low", "high", "passed", "meaning")}}
-            for name, gate in registration.gates.items()
-        ],
+        "gates": [{"name": name, **plain(gate)} for name, gate in registration.gates.items()],
         "model": _model(registration, size),
     }
     if not isinstance(model, FailedFit) and size is not None:

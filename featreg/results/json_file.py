@@ -4,17 +4,18 @@ Layout (schema version 1)
 -------------------------
 One object: ``schema_version, method, status, reason, gates, seed, reference, secondary, model, counts, blocks, timings,
 provenance, tie_points``. Points are (x, y) in pixels, the centre of the first pixel is (0, 0). ``nan`` and ``inf`` are
-written as null. `counts` lists the filters in the order in which they ran. The column `stage` is how many filters, from
-the first on, a tie point survived; a mask that does not follow from it (that of a refinement, whose points are not in
-the stages before it) stands packed in ``tie_points.masks`` (base64 of `numpy.packbits`). Where no model could be fitted
-`model` is null and `model_failure` says why. More than 20 000 tie points stand in a Parquet file beside the JSON.
+written as null. `reference` and `secondary` hold path, width and height (null where the images are not known) and,
+where known, scale, dtype, valid_pixels, pixel_size {x, y, unit} and geolocation {transform, crs, rpcs, gcps}. `counts`
+lists the filters in the order in which they ran. The column `stage` is how many filters, from the first on, a tie point
+survived; a mask that does not follow from it (that of a refinement, whose points are not in the stages before it)
+stands packed in ``tie_points.masks`` (base64 of `numpy.packbits`). Where no model could be fitted `model` is null and
+`model_failure` says why. More than 20 000 tie points stand in a Parquet file beside the JSON.
 """
 
 from __future__ import annotations
 
 import base64
 import dataclasses
-import hashlib
 import io
 import json
 import math
@@ -29,7 +30,9 @@ from numpy.typing import NDArray
 from featreg.errors import InputError
 from featreg.geometry import model_from_dict, model_to_dict
 from featreg.interfaces import FailedFit, Model
-from featreg.runtime.files import write_atomic
+from featreg.results.input_image import InputImage
+from featreg.runtime.digests import digest_bytes
+from featreg.runtime.files import is_stream, write_atomic
 from featreg.types import BoolArray, Gate, IntArray, Matches
 
 if TYPE_CHECKING:
@@ -60,6 +63,8 @@ def plain(value: Any) -> Any:
         return sorted((plain(v) for v in value), key=str)
     if isinstance(value, Model):
         return plain(model_to_dict(value))
+    if isinstance(value, Gate):
+        return plain(value.to_dict())
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
     if isinstance(value, type) or callable(value):
@@ -80,6 +85,7 @@ def write_registration(registration: Registration, path: str | Path) -> None:
     """Write a registration as JSON; beyond 20 000 tie points these go to ``<name>.tie_points.parquet`` beside it.
 
     Each file appears whole or not at all, the Parquet file first. Equal registrations give equal bytes.
+    A pipe or terminal as `path` gets every tie point itself.
 
     Raises
     ------
@@ -89,11 +95,12 @@ def write_registration(registration: Registration, path: str | Path) -> None:
     path = Path(path)
     stage = _stage(registration)
     columns, masks, head = _columns(registration, stage), _masks(registration, stage), _head(registration)
-    if len(stage) > MAX_ROWS:
+    # A pipe has no place beside it.
+    if len(stage) > MAX_ROWS and not is_stream(path):
         beside = tie_point_file(path)
         content = parquet_of(columns)
         write_atomic(beside, content)
-        table = {"file": beside.name, "columns": list(columns), "sha256": hashlib.sha256(content).hexdigest()}
+        table = {"file": beside.name, "columns": list(columns), "sha256": digest_bytes(content)}
         text = _layout({**head, "tie_points": table | ({"masks": masks} if masks else {})})
     else:
         # The rows are encoded in one go, one tie point a line: a general pretty printer would take seconds.
@@ -138,11 +145,6 @@ def read_registration(path: str | Path, make: Callable[..., R]) -> R:
 def _head(registration: Registration) -> dict[str, Any]:
     """Everything but the tie points, in the order of the file."""
     provenance = {k: v for k, v in registration.provenance.items() if k != "tie_point_blocks"}
-    inputs = provenance.get("inputs") or {}
-    images = {
-        role: {key: plain((inputs.get(role) or {}).get(key)) for key in ("path", "width", "height")}
-        for role in ("reference", "secondary")
-    }
     blocks = provenance.get("blocks") or {}
     for name in registration.stages:
         if name in RESERVED:
@@ -155,7 +157,8 @@ def _head(registration: Registration) -> dict[str, Any]:
         "reason": registration.reason,
         "gates": plain(registration.gates),
         "seed": plain(provenance.get("seed")),
-        **images,
+        "reference": _image(registration.reference),
+        "secondary": _image(registration.secondary),
         "model": None if isinstance(model, FailedFit) else {**plain(model), **plain(registration.standard_errors)},
         **({"model_failure": model.reason} if isinstance(model, FailedFit) else {}),
         "counts": {
@@ -167,6 +170,10 @@ def _head(registration: Registration) -> dict[str, Any]:
         "timings": plain(registration.timings),
         "provenance": plain(provenance),
     }
+
+
+def _image(image: InputImage | None) -> dict[str, Any]:
+    return dict.fromkeys(("path", "width", "height")) if image is None else plain(image.to_dict())
 
 
 def _stage(registration: Registration) -> IntArray:
@@ -292,9 +299,11 @@ def _fields(data: Any, folder: Path) -> dict[str, Any]:
         "model": FailedFit(data["model_failure"]) if data["model"] is None else model_from_dict(data["model"]),
         "status": data["status"],
         "reason": data["reason"],
-        "gates": {name: Gate(**gate) for name, gate in data["gates"].items()},
+        "gates": {name: Gate.from_dict(gate) for name, gate in data["gates"].items()},
         "timings": dict(data["timings"]),
         "provenance": data["provenance"] | ({"tie_point_blocks": block} if (block >= 0).any() else {}),
+        "reference": InputImage.from_dict(data["reference"]),
+        "secondary": InputImage.from_dict(data["secondary"]),
     }
 
 
@@ -308,7 +317,7 @@ def _read_columns(table: Mapping[str, Any], folder: Path) -> dict[str, NDArray[n
     import pyarrow.parquet as pq
 
     content = (folder / table["file"]).read_bytes()
-    if hashlib.sha256(content).hexdigest() != table["sha256"]:
+    if digest_bytes(content) != table["sha256"]:
         raise InputError(f"'{table['file']}' is not the tie-point file that was written with it")
     read = pq.ParquetFile(io.BytesIO(content)).read(columns=names)
     return {name: np.asarray(read[name].to_numpy(), dtype=np.float64) for name in names}

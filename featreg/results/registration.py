@@ -11,6 +11,7 @@ import numpy as np
 
 from featreg.errors import InputError
 from featreg.interfaces import FailedFit, Model
+from featreg.results.input_image import InputImage
 from featreg.results.json_file import read_registration, write_registration
 from featreg.results.standard_errors import standard_errors as rigid_errors
 from featreg.types import BoolArray, FloatArray, Gate, Matches, column
@@ -30,7 +31,8 @@ class Registration:
     reason : why it is unreliable; empty when ok
     gates : name -> Gate, every condition with its value
     timings : stage -> seconds
-    provenance : method, every parameter, versions, seed and inputs
+    provenance : method, every parameter, versions and seed
+    reference, secondary : the images; None where they are not known
     """
 
     matches: Matches
@@ -42,6 +44,8 @@ class Registration:
     gates: Mapping[str, Gate] = field(default_factory=dict)
     timings: Mapping[str, float] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    reference: InputImage | None = None
+    secondary: InputImage | None = None
 
     def __post_init__(self) -> None:
         m = len(self.matches)

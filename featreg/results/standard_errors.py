@@ -27,9 +27,9 @@ def standard_errors(registration: Registration) -> dict[str, Any]:
     `featreg.geometry.rigid_standard_errors`. They cannot know what all tie points have in common.
     """
     model = registration.model
-    size = (registration.provenance.get("inputs") or {}).get("reference") or {}
+    image = registration.reference
     chosen, matches, residuals = registration.inliers, registration.matches, registration.residuals()
-    if not isinstance(model, Rigid) or not chosen.any() or None in (size.get("width"), size.get("height")):
+    if not isinstance(model, Rigid) or not chosen.any() or image is None:
         return {}
     parameters = registration.provenance.get("parameters") or {}
     if registration.putative[chosen].all():
@@ -42,7 +42,7 @@ def standard_errors(registration: Registration) -> dict[str, Any]:
         matches.reference_xy[chosen],
         matches.secondary_xy[chosen],
         inverse_variances(covariance),
-        at=((size["width"] - 1) / 2, (size["height"] - 1) / 2),
+        at=((image.shape[1] - 1) / 2, (image.shape[0] - 1) / 2),
         cut=cut,
     )
     if isinstance(found, FailedFit):

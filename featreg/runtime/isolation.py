@@ -15,40 +15,30 @@ import queue
 import signal
 import sys
 import threading
-import time
 import types
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future
-from dataclasses import dataclass
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from multiprocessing import spawn
-from multiprocessing.connection import Connection, wait
+from multiprocessing.connection import Connection
 from multiprocessing.reduction import ForkingPickler
 from typing import Any, ParamSpec, TypeVar
 
 from featreg import errors
 from featreg.errors import FeatregError, ParameterError
+from featreg.runtime.threads import worker_count
+from featreg.runtime.workers import start_worker
 
 P = ParamSpec("P")
 T = TypeVar("T")
 
-#: Read by the numeric libraries when they are first imported: one thread for each worker.
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 #: Seconds within which a fresh process must have loaded this package.
 START_LIMIT = 300.0
 NAME = "featreg-worker"
-_environment = threading.Lock()
+_script = threading.Lock()
 
 
 class WorkerLostError(FeatregError):
-    """The process of a job died by itself (`died`), or was stopped at its time limit."""
-
-    died = False
-
-
-@dataclass(frozen=True)
-class _Job:
-    future: Future[Any]
-    call: tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]]
+    """The process of a job died by itself, or was stopped at its time limit."""
 
 
 class IsolatedExecutor(Executor):
@@ -72,8 +62,6 @@ class IsolatedExecutor(Executor):
     def __init__(
         self, workers: int = 1, time_limit: float | None = None, prepare: Callable[[], None] | None = None
     ) -> None:
-        if workers < 1:
-            raise ParameterError(f"workers must be a whole number >= 1, got {workers}")
         if time_limit is not None and not time_limit > 0:
             raise ParameterError(f"time_limit must be a number of seconds > 0, got {time_limit}")
         if multiprocessing.current_process().name == NAME:
@@ -82,9 +70,12 @@ class IsolatedExecutor(Executor):
                 'if __name__ == "__main__":'
             )
         self.time_limit = time_limit
-        self._jobs: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
-        self._closed = False
-        self._workers = [_Worker(self._jobs, time_limit, prepare) for _ in range(workers)]
+        self._workers = [_Worker(time_limit, prepare) for _ in range(worker_count(workers))]
+        self._idle: queue.SimpleQueue[_Worker] = queue.SimpleQueue()
+        for worker in self._workers:
+            self._idle.put(worker)
+        # One thread waits for each process.
+        self._threads = ThreadPoolExecutor(len(self._workers), NAME)
 
     @property
     def starts(self) -> int:
@@ -93,135 +84,117 @@ class IsolatedExecutor(Executor):
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
         """Queue a call; function, arguments and result must be picklable."""
-        if self._closed:
-            raise RuntimeError("this executor was shut down")
-        future: Future[T] = Future()
-        self._jobs.put(_Job(future, (fn, args, dict(kwargs))))
-        return future
+        return self._threads.submit(self._run, fn, args, kwargs)
+
+    def _run(self, *call: Any) -> Any:
+        worker = self._idle.get()
+        try:
+            return worker.run(call)
+        finally:
+            self._idle.put(worker)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """Stop the workers; with `cancel_futures`, drop what is queued and end what is running."""
-        self._closed = True
+        self._threads.shutdown(wait=False, cancel_futures=cancel_futures)
         if cancel_futures:
-            with contextlib.suppress(queue.Empty):
-                while True:
-                    job = self._jobs.get_nowait()
-                    if job is not None:
-                        job.future.cancel()
             for worker in self._workers:
                 worker.stop()
-        for _ in self._workers:
-            self._jobs.put(None)
+        ending = threading.Thread(target=self._end)
+        ending.start()
         if wait:
-            for worker in self._workers:
-                worker.thread.join()
+            ending.join()
+
+    def _end(self) -> None:
+        self._threads.shutdown()
+        for worker in self._workers:
+            worker.kill()
 
 
 class _Worker:
-    """A thread that feeds one process after the other."""
+    """One process after the other, each with one job at a time."""
 
-    def __init__(
-        self,
-        jobs: queue.SimpleQueue[_Job | None],
-        time_limit: float | None,
-        prepare: Callable[[], None] | None,
-    ) -> None:
-        self.jobs, self.time_limit, self.prepare = jobs, time_limit, prepare
+    def __init__(self, time_limit: float | None, prepare: Callable[[], None] | None) -> None:
+        self.time_limit, self.prepare = time_limit, prepare
         self.starts, self.done = 0, 0
         self.process: Any = None
         self.pipe: Connection | None = None
         self.stopping = False
-        self.thread = threading.Thread(target=self._feed, name="featreg-worker", daemon=True)
-        self.thread.start()
 
     def stop(self) -> None:
-        """End what is running; called from another thread, so the pipe is left to this one."""
+        """End what is running; called from another thread, so the pipe is left to that of the job."""
         self.stopping = True
         process = self.process
         if process is not None:
             process.kill()
 
-    def _feed(self) -> None:
-        while (job := self.jobs.get()) is not None:
-            if not job.future.set_running_or_notify_cancel():
-                continue
-            try:
-                used = self.process is not None and self.done > 0
-                try:
-                    value = self._run(job)
-                except WorkerLostError as error:
-                    if not error.died or not used or self.stopping:
-                        raise
-                    value = self._run(job)
-            except BaseException as error:
-                job.future.set_exception(error)
-            else:
-                job.future.set_result(value)
-            # Neither the job nor its images may outlive it in this loop.
-            del job
-        self._kill()
-
-    def _run(self, job: _Job) -> Any:
-        pipe = self._ready()
+    def run(self, call: tuple[Any, ...]) -> Any:
+        """What the call returns or raises; once more in a fresh process where a used one died of it."""
         try:
-            content = ForkingPickler.dumps(job.call)
+            content = bytes(ForkingPickler.dumps(call))
         except Exception as error:
             raise ParameterError(f"the job cannot be sent to another process: {error}") from error
+        pipe = self._ready()
+        used = self.done > 0
         try:
-            pipe.send(_script() if b"__main__" in bytes(content) else None)
-            pipe.send_bytes(content)
-            if not pipe.poll(self.time_limit):
-                self._kill()
-                raise WorkerLostError(f"it took longer than {self.time_limit:g} s and was stopped")
-            good, value = pipe.recv()
+            answer = self._answer(pipe, content)
         except (EOFError, OSError) as error:
-            raise self._died() from error
+            fate = self._fate()
+            if not used or self.stopping:
+                raise WorkerLostError(f"its process {fate}") from error
+            return self.run(call)
         self.done += 1
+        good, value = ForkingPickler.loads(answer)
         if not good:
             raise _error(*value)
         return value
+
+    def _answer(self, pipe: Connection, content: bytes) -> bytes:
+        pipe.send(_main_module() if b"__main__" in content else None)
+        pipe.send_bytes(content)
+        if not pipe.poll(self.time_limit):
+            self.kill()
+            raise WorkerLostError(f"it took longer than {self.time_limit:g} s and was stopped")
+        return pipe.recv_bytes()
 
     def _ready(self) -> Connection:
         """The pipe to a living process, a fresh one where there is none."""
         if self.pipe is not None and self.process.is_alive():
             return self.pipe
-        self._kill()
-        if self.stopping:
-            raise WorkerLostError("the work was stopped")
+        self.kill()
         context = multiprocessing.get_context("spawn")
-        mine, theirs = context.Pipe()
-        self.process = context.Process(target=_serve, args=(theirs, self.prepare), name=NAME, daemon=True)
-        with _apart():
-            self.process.start()
+        self.pipe, theirs = context.Pipe()
+        process = context.Process(target=_serve, args=(theirs,), name=NAME, daemon=True)
+        with _without_script():
+            process.start()
         theirs.close()
-        self.pipe, self.done = mine, 0
+        self.process = process
         self.starts += 1
+        if self.stopping:
+            self.kill()
+            raise WorkerLostError("the work was stopped")
         try:
-            if not mine.poll(START_LIMIT):
-                self._kill()
+            self.pipe.send(self.prepare)
+            if not self.pipe.poll(START_LIMIT):
+                self.kill()
                 raise WorkerLostError(f"a worker process was not ready after {START_LIMIT:g} s")
-            mine.recv()
+            self.pipe.recv()
         except (EOFError, OSError) as error:
             raise WorkerLostError(f"a worker process {self._fate()} before it was ready") from error
-        return mine
-
-    def _died(self) -> WorkerLostError:
-        error = WorkerLostError(f"its process {self._fate()}")
-        error.died = True
-        return error
+        return self.pipe
 
     def _fate(self) -> str:
         """How the process ended."""
         self.process.join(5)
         code = self.process.exitcode
-        self._kill()
+        self.kill()
         if code is not None and code < 0:
             with contextlib.suppress(ValueError):
                 return f"died of {signal.Signals(-code).name}"
         return f"ended with exit code {code}"
 
-    def _kill(self) -> None:
-        process, pipe, self.process, self.pipe = self.process, self.pipe, None, None
+    def kill(self) -> None:
+        """End the process, if there is one."""
+        process, pipe, self.process, self.pipe, self.done = self.process, self.pipe, None, None, 0
         if process is not None:
             process.kill()
             process.join()
@@ -230,29 +203,21 @@ class _Worker:
 
 
 @contextlib.contextmanager
-def _apart() -> Iterator[None]:
-    """Let processes started inside the block use one thread of the numeric libraries, and not load the script.
+def _without_script() -> Iterator[None]:
+    """Let a process started inside the block not load the caller's script.
 
-    A spawned process runs the caller's script again, all of it where nothing in it says otherwise, unless it finds an
-    empty one.
+    A spawned process runs it again, all of it where nothing in it says otherwise, unless it finds an empty one.
     """
-    with _environment:
-        before = {name: os.environ.get(name) for name in THREADS}
-        script = sys.modules["__main__"]
-        os.environ.update(dict.fromkeys(THREADS, "1"))
+    with _script:
+        before = sys.modules["__main__"]
         sys.modules["__main__"] = types.ModuleType("__main__")
         try:
             yield
         finally:
-            sys.modules["__main__"] = script
-            for name, value in before.items():
-                if value is None:
-                    os.environ.pop(name, None)
-                else:
-                    os.environ[name] = value
+            sys.modules["__main__"] = before
 
 
-def _script() -> dict[str, Any]:
+def _main_module() -> dict[str, Any]:
     """What a process must load to know the caller's script."""
     main = sys.modules["__main__"]
     name, path = getattr(main.__spec__, "name", None), getattr(main, "__file__", None)
@@ -261,37 +226,34 @@ def _script() -> dict[str, Any]:
     return {} if path is None else {"init_main_from_path": os.path.abspath(path)}
 
 
-def _serve(pipe: Connection, prepare: Callable[[], None] | None) -> None:
+def _serve(pipe: Connection) -> None:
     """Work off calls until the pipe closes: the main loop of a worker process."""
-    # Ctrl-C reaches every process of the terminal; the parent alone reacts.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_die_with_parent, daemon=True).start()
-    import cv2
-
+    # Before anything that imports a numeric library.
+    start_worker()
+    prepare = pipe.recv()
     if prepare is not None:
         prepare()
-    cv2.setNumThreads(1)
     pipe.send(None)
-    while True:
-        try:
+    with contextlib.suppress(EOFError, OSError):
+        while True:
             script = pipe.recv()
-            content = pipe.recv_bytes()
-        except (EOFError, OSError):
-            return
-        answer: tuple[bool, Any]
-        try:
-            if script:
-                spawn.prepare(script)
-            function, args, keywords = ForkingPickler.loads(content)
-            answer = True, function(*args, **keywords)
-        except BaseException as error:
-            answer = False, (type(error).__name__, str(error))
-        try:
-            pipe.send(answer)
-        except OSError:
-            return
-        except Exception as error:
-            pipe.send((False, (type(error).__name__, f"the result cannot be sent back: {error}")))
+            pipe.send_bytes(_answer(script, pipe.recv_bytes()))
+
+
+def _answer(script: dict[str, Any] | None, content: bytes) -> bytes:
+    """Run a pickled call; (True, value) or (False, (name, text) of the error), pickled."""
+    try:
+        if script:
+            spawn.prepare(script)
+        function, args, keywords = ForkingPickler.loads(content)
+        value = function(*args, **keywords)
+    except BaseException as error:
+        return bytes(ForkingPickler.dumps((False, (type(error).__name__, str(error)))))
+    try:
+        return bytes(ForkingPickler.dumps((True, value)))
+    except Exception as error:
+        text = f"the result cannot be sent back: {error}"
+        return bytes(ForkingPickler.dumps((False, (type(error).__name__, text))))
 
 
 def _error(name: str, text: str) -> BaseException:
@@ -305,12 +267,3 @@ def _error(name: str, text: str) -> BaseException:
         with contextlib.suppress(TypeError):
             return kind(text)
     return RuntimeError(f"{name}: {text}" if text else name)
-
-
-def _die_with_parent() -> None:
-    """End this process when its parent is gone, however it went: a hanging job must not outlive it."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        wait([parent.sentinel])
-        time.sleep(0.1)
-        os._exit(1)

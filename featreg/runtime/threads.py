@@ -1,39 +1,52 @@
-"""Threads of the libraries: how many OpenCV may use."""
+"""Threads: how many this process may use, and how many of them the numeric libraries take."""
 
 from __future__ import annotations
 
+import operator
+import os
+import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Any
 
 from featreg.errors import ParameterError
 
+#: Read by the numeric libraries when they are first imported.
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
-@contextmanager
-def single_threaded() -> Iterator[None]:
-    """Run OpenCV on one thread inside the block, and on as many as before after it (the setting is per process)."""
-    import cv2
 
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(1)
+def available_processors() -> int:
+    """How many processors this process may use; under a container or taskset fewer than there are."""
     try:
-        yield
-    finally:
-        cv2.setNumThreads(before)
+        return len(os.sched_getaffinity(0))
+    except AttributeError:
+        return os.cpu_count() or 1
 
 
-def check_count(name: str, count: Any) -> None:
-    """Raise where a number of workers or threads is neither None nor a whole number from 1 on."""
-    if count is not None and (isinstance(count, bool) or not hasattr(count, "__index__") or count < 1):
-        raise ParameterError(f"{name} must be a whole number >= 1, got {count!r}")
+def worker_count(workers: Any, default: int | None = None, name: str = "workers") -> int:
+    """Return `workers`; where it is None, `default`, or every processor this process may use.
+
+    `name` is what the caller calls the number.
+
+    Raises
+    ------
+    ParameterError
+        It is no whole number >= 1.
+    """
+    if workers is None:
+        return available_processors() if default is None else default
+    try:
+        count = 0 if isinstance(workers, bool) else operator.index(workers)
+    except TypeError:
+        count = 0
+    if count < 1:
+        raise ParameterError(f"{name} must be a whole number >= 1, got {workers!r}")
+    return count
 
 
 @contextmanager
-def limited_threads(count: int | None) -> Iterator[None]:
-    """Let OpenCV use at most `count` threads inside the block; None leaves it alone."""
-    if count is None:
-        yield
-        return
+def opencv_threads(count: int) -> Iterator[None]:
+    """Run OpenCV on `count` threads inside the block, on as many as before after it; the setting is per process."""
     import cv2
 
     before = cv2.getNumThreads()
@@ -42,3 +55,29 @@ def limited_threads(count: int | None) -> Iterator[None]:
         yield
     finally:
         cv2.setNumThreads(before)
+
+
+def single_threaded() -> AbstractContextManager[None]:
+    """Run OpenCV on one thread inside the block; work runs side by side instead."""
+    return opencv_threads(1)
+
+
+@contextmanager
+def limited_threads(count: int | None, algebra: int | None = None) -> Iterator[None]:
+    """Let the libraries use at most `count` threads inside the block; None leaves them alone.
+
+    `algebra` is the limit of the linear algebra where it is to be another.
+
+    OpenCV is told directly. The linear algebra starts its threads when it is first imported, which is why the commands
+    import nothing heavy before this: a limit set later leaves the threads there, and they forbid a fork.
+    """
+    algebra = count if algebra is None else algebra
+    if algebra is not None and "numpy" not in sys.modules:
+        limit_algebra(algebra)
+    with nullcontext() if count is None else opencv_threads(count):
+        yield
+
+
+def limit_algebra(count: int) -> None:
+    """Tell this process's libraries of linear algebra that are not imported yet to use `count` threads."""
+    os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(count)))

@@ -8,20 +8,34 @@ from importlib.metadata import PackageNotFoundError, version
 
 from featreg._version import __version__
 
-LIBRARIES = ("numpy", "opencv-contrib-python-headless", "numba", "scipy", "rasterio")
+#: Beside OpenCV, which comes under four names, the libraries that decide results.
+LIBRARIES = ("numpy", "numba", "scipy", "rasterio")
 
 
 @lru_cache(maxsize=1)
 def _versions() -> tuple[tuple[str, str], ...]:
-    found = [("featreg", __version__), ("python", platform.python_version())]
-    for name in LIBRARIES:
-        try:
-            found.append((name, version(name)))
-        except PackageNotFoundError:
-            continue
-    return tuple(found)
+    numbers = {name: version_of(name) for name in LIBRARIES} | {"opencv": _opencv()}
+    found = [(name, number) for name, number in numbers.items() if number is not None]
+    return (("featreg", __version__), ("python", platform.python_version()), *found)
 
 
 def versions() -> dict[str, str]:
     """Return the versions of this package, of Python and of the libraries that decide results."""
     return dict(_versions())
+
+
+def version_of(name: str) -> str | None:
+    """The version of an installed distribution; None where it is not installed."""
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
+
+
+def _opencv() -> str | None:
+    """Of the module itself: any of its four distributions may be installed, or one built here that is none."""
+    try:
+        import cv2
+    except ImportError:
+        return None
+    return str(cv2.__version__)

@@ -14,10 +14,10 @@ from featreg.geolocation import Heights, RpcBias, find_overlap, sensor_of
 from featreg.geometry import Affine
 from featreg.interfaces import FailedFit, Model
 from featreg.io.raster_source import Source, Window
+from featreg.pipeline.inputs import input_image
 from featreg.pipeline.pipeline import Pipeline
 from featreg.results.registration import Registration
 from featreg.scene.prior import Prior
-from featreg.scene.record import inputs_of_sources
 from featreg.types import Matches
 
 #: Longer side of the overviews of a coarse match, px.
@@ -54,10 +54,10 @@ def first_prior(
     if result.status == "ok":
         return from_model(model, coarse_uncertainty(reference, secondary), "coarse match of overviews", shapes)
     reason = f"without geolocation the prior is a match of the overviews, which failed: {result.reason}"
-    provenance = {**result.provenance, "inputs": inputs_of_sources(reference, secondary)}
     return Registration(
         Matches.empty(), {}, np.zeros(0, np.bool_), FailedFit(reason), "unreliable", reason,
-        provenance=provenance, timings=result.timings,
+        provenance=result.provenance, timings=result.timings, reference=input_image(reference),
+        secondary=input_image(secondary),
     )  # fmt: skip
 
 

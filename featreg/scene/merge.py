@@ -18,7 +18,7 @@ from featreg.pipeline.trust import Limits
 from featreg.scene.blocks import Block
 from featreg.scene.prior import Prior
 from featreg.scene.task import BlockResult
-from featreg.types import BoolArray, FloatArray, Gate, IntArray, Matches
+from featreg.types import BoolArray, FloatArray, Gate, IntArray, Matches, verdict
 
 #: Refined tie points farther than this from the first model are wrong, px.
 FAR_PX = 6.0
@@ -162,19 +162,18 @@ def block_gates(
     local = float(np.percentile(known, 95, method="higher")) if len(known) else None
     return {
         "search": Gate(
-            off, off is not None and off <= limit, high=limit,
-            meaning="median distance of the tie points from where the blocks were searched, px",
+            off, high=limit, meaning="median distance of the tie points from where the blocks were searched, px",
         ),
         "blocks": Gate(
-            share, share >= limits.block_share, low=limits.block_share,
+            share, low=limits.block_share,
             meaning="share of the blocks with content that hold a final tie point",
         ),
         "block_error": Gate(
-            local, local is not None and local <= limits.block_error_px, high=limits.block_error_px,
+            local, high=limits.block_error_px,
             meaning="median distance of a block's own tie points from the model, all but the worst 5 % of blocks, px",
         ),
         "held_out_rmse": Gate(
-            error, error is not None and error <= limits.held_out_rmse_px, high=limits.held_out_rmse_px,
+            error, high=limits.held_out_rmse_px,
             meaning="RMSE of the tie points of each half of the blocks from the model of the other, px",
         ),
     }  # fmt: skip
@@ -270,5 +269,5 @@ def accuracy(
         name: {"value": gate.value, "low": gate.low, "high": gate.high, "passed": gate.passed}
         for name, gate in gates.items()
     }
-    report["passed"] = all(gate.passed for gate in gates.values())
+    report["passed"] = verdict(gates)[0] == "ok"
     return report

@@ -1,4 +1,4 @@
-"""What the result of a scene records: its inputs, and a row for each block."""
+"""What the result of a scene records: a row for each block."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from featreg.io.raster_source import Source
 from featreg.scene.blocks import Block
 from featreg.scene.task import BlockResult
 from featreg.types import IntArray
@@ -44,17 +43,3 @@ def seconds_of(results: Sequence[BlockResult]) -> dict[str, float]:
         for name, seconds in result.seconds.items():
             total[name] = total.get(name, 0.0) + seconds
     return total
-
-
-def inputs_of_sources(reference: Source, secondary: Source) -> dict[str, Any]:
-    """What the result records of its two scenes."""
-    return {
-        role: {
-            "path": source.name,
-            "width": source.shape[1],
-            "height": source.shape[0],
-            "scale": source.known_scale,
-            "dtype": source.dtype,
-        }
-        for role, source in (("reference", reference), ("secondary", secondary))
-    }

@@ -17,10 +17,11 @@ from featreg.errors import ParameterError
 from featreg.geolocation import ConstantHeight, DemHeights, Heights, RpcBias, Transfer, sensor_of
 from featreg.interfaces import Matcher, Model
 from featreg.io.raster_source import ImageSource, Source
+from featreg.pipeline.inputs import input_image
 from featreg.pipeline.pipeline import Pipeline
 from featreg.pipeline.steps import refined
 from featreg.results.registration import Registration
-from featreg.runtime.executors import Lane, open_lane
+from featreg.runtime.executors import TaskExecutor, open_executor
 from featreg.runtime.timing import collecting, stage
 from featreg.runtime.versions import versions
 from featreg.runtime.watching import Canceller, Progress, cancellable
@@ -28,7 +29,7 @@ from featreg.scene.blocks import Block, halo_of, plan_blocks, spread_out
 from featreg.scene.first_prior import first_prior
 from featreg.scene.merge import Merged, accuracy, block_errors, block_gates, concatenated, fit_refined, merge
 from featreg.scene.prior import Prior, corrected
-from featreg.scene.record import block_table, inputs_of_sources, seconds_of, with_final
+from featreg.scene.record import block_table, seconds_of, with_final
 from featreg.scene.state import BlockFiles, digest_of
 from featreg.scene.task import BlockResult, Job, run_block
 
@@ -46,7 +47,7 @@ class SceneOptions:
     Parameters
     ----------
     block : side of a block, px
-    executor, workers : see `featreg.runtime.executors.open_lane`
+    executor, workers : see `featreg.runtime.executors.open_executor`
     dem, height : heights of the ground: a file, or metres above the ellipsoid (0 where neither is given)
     resume : folder in which finished blocks are kept and looked for
     progress : called with (blocks done, blocks in all)
@@ -104,8 +105,8 @@ def match_scene(
     _check_heights(options, pipeline, (reference, secondary), initial)
     with collecting() as timings:
         with ExitStack() as stack:
-            lane = stack.enter_context(open_lane(options.executor, options.workers))
-            shared = _shareable(reference, secondary, lane, stack)
+            executor = stack.enter_context(open_executor(options.executor, options.workers))
+            shared = _shareable(reference, secondary, executor, stack)
             pipeline = _bound(pipeline, reference, secondary, heights)
             with cancellable(options.cancel), stage("prior"):
                 found = first_prior(pipeline, reference, secondary, heights, seed, initial, search_radius)
@@ -114,11 +115,11 @@ def match_scene(
             prior, area = found
             blocks = plan_blocks(area, options.block)
             pipeline = replace(pipeline, n_features=pipeline.n_features * len(blocks))
-            job = _job(pipeline, matcher, *shared, seed, lane, len(blocks), initial)
+            job = _job(pipeline, matcher, *shared, seed, executor, len(blocks), initial)
             with stage("prior"):
-                prior = _piloted(job, prior, blocks, lane, options.cancel, seed)
+                prior = _piloted(job, prior, blocks, executor, options.cancel, seed)
             with stage("blocks"):
-                results, counts = _all_blocks(job, prior, blocks, lane, options, pipeline, (reference, secondary))
+                results, counts = _all_blocks(job, prior, blocks, executor, options, pipeline, (reference, secondary))
         # The workers are gone, and the columns of the blocks go once they are put together: what is left to do needs
         # the memory more.
         record = {**counts, "size": options.block, "halo": job.halo}, block_table(blocks, results), seconds_of(results)
@@ -145,9 +146,9 @@ def _check_heights(options: SceneOptions, pipeline: Pipeline, sources: Sequence[
             )
 
 
-def _shareable(reference: Source, secondary: Source, lane: Lane, stack: ExitStack) -> tuple[Source, Source]:
+def _shareable(reference: Source, secondary: Source, executor: TaskExecutor, stack: ExitStack) -> tuple[Source, Source]:
     """The scenes as workers that do not share this memory and this folder find them: as files, by absolute names."""
-    if not lane.own_process:
+    if not executor.own_process:
         return reference, secondary
     folder: Path | None = None
     made: list[Source] = []
@@ -175,21 +176,23 @@ def _job(
     reference: Source,
     secondary: Source,
     seed: int,
-    lane: Lane,
+    executor: TaskExecutor,
     count: int,
     initial: Model | None,
 ) -> Job:
     return Job(
         reference, secondary, matcher, pipeline.block_filters, pipeline.model, pipeline.refine, seed,
-        max(1, pipeline.n_features // count), halo_of(matcher, pipeline.refine), lane.own_process, initial,
+        max(1, pipeline.n_features // count), halo_of(matcher, pipeline.refine), executor.own_process, initial,
     )  # fmt: skip
 
 
-def _piloted(job: Job, prior: Prior, blocks: Sequence[Block], lane: Lane, cancel: Canceller | None, seed: int) -> Prior:
+def _piloted(
+    job: Job, prior: Prior, blocks: Sequence[Block], executor: TaskExecutor, cancel: Canceller | None, seed: int
+) -> Prior:
     """The prior, corrected by a few blocks that were searched as widely as its uncertainty asks."""
     pilots = spread_out(tuple(blocks), min(PILOTS, max(LEAST_PILOTS, len(blocks) // 8)))
     found = sorted(
-        (result for _, result in lane.run(run_block, (replace(job, refine=None), prior.widened()), pilots, cancel)),
+        (result for _, result in executor.run(run_block, (replace(job, refine=None), prior.widened()), pilots, cancel)),
         key=lambda result: result.index,
     )
     done = [r for r in found if r.status == "done"]
@@ -201,7 +204,7 @@ def _all_blocks(
     job: Job,
     prior: Prior,
     blocks: Sequence[Block],
-    lane: Lane,
+    executor: TaskExecutor,
     options: SceneOptions,
     pipeline: Pipeline,
     sources: Sequence[Source],
@@ -216,7 +219,7 @@ def _all_blocks(
     todo = [block for block in blocks if block.index not in known]
     tell = options.progress or (lambda done, total: None)
     tell(reused, len(blocks))
-    for position, result in lane.run(run_block, (job, prior), todo, options.cancel):
+    for position, result in executor.run(run_block, (job, prior), todo, options.cancel):
         # A block that failed is tried again next time.
         if files is not None and result.status != "failed":
             files.save(todo[position], result)
@@ -308,7 +311,6 @@ def _finished(
         timings=dict(timings),
         provenance={
             **result.provenance,
-            "inputs": inputs_of_sources(reference, secondary),
             "blocks": counts,
             "block_table": with_final(table, owners[result.inliers]),
             "tie_point_blocks": owners,
@@ -317,4 +319,6 @@ def _finished(
             "accuracy": accuracy(result.model, final, errors, result.gates, reference.shape),
             "block_seconds": seconds,
         },
+        reference=input_image(reference),
+        secondary=input_image(secondary),
     )

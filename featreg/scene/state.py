@@ -7,22 +7,20 @@ short, damaged, of another run, not ours at all) is not used, and its block is c
 
 from __future__ import annotations
 
-import hashlib
 import io
-import json
 import logging
 import os
-import uuid
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from featreg.errors import InputError
 from featreg.results.json_file import plain
+from featreg.runtime.digests import digest_arrays, digest_json
+from featreg.runtime.files import write_atomic
 from featreg.scene.blocks import Block
 from featreg.scene.task import BlockResult, columns_of, from_columns
 
@@ -31,8 +29,7 @@ logger = logging.getLogger(__name__)
 
 def digest_of(content: Mapping[str, Any]) -> str:
     """SHA-256 of values in a canonical form."""
-    text = json.dumps(plain(content), sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()
+    return digest_json(plain(content))
 
 
 class BlockFiles:
@@ -71,7 +68,7 @@ class BlockFiles:
             content = path.read_bytes()
             with np.load(io.BytesIO(content), allow_pickle=False) as file:
                 columns = {name: file[name] for name in file.files}
-            if str(columns.pop("digest")) != self.digest or str(columns.pop("checksum")) != _checksum(columns):
+            if str(columns.pop("digest")) != self.digest or str(columns.pop("checksum")) != digest_arrays(columns):
                 raise ValueError("its digest or its checksum is not that of this block")
             result = from_columns(columns)
             if result.index != block.index:
@@ -87,22 +84,6 @@ class BlockFiles:
         """Write a finished block; the file appears whole or not at all."""
         columns = columns_of(result)
         buffer = io.BytesIO()
-        np.savez(buffer, digest=np.array(self.digest), checksum=np.array(_checksum(columns)), **columns)  # type: ignore[arg-type]
-        path = self.path(block)
-        temporary = path.with_name(f".{path.stem}_{uuid.uuid4().hex}.tmp")
-        try:
-            # Without fsync: a file that a power cut leaves short is found out by its checksum.
-            temporary.write_bytes(buffer.getbuffer())
-            os.replace(temporary, path)
-        except OSError as error:
-            temporary.unlink(missing_ok=True)
-            raise InputError(f"cannot write block file '{path}': {error.strerror}") from error
-
-
-def _checksum(columns: Mapping[str, NDArray[Any]]) -> str:
-    total = hashlib.sha256()
-    for name in sorted(columns):
-        values = np.ascontiguousarray(columns[name])
-        total.update(f"{name} {values.dtype.str} {values.shape}".encode())
-        total.update(values.tobytes())
-    return total.hexdigest()
+        np.savez(buffer, digest=np.array(self.digest), checksum=np.array(digest_arrays(columns)), **columns)  # type: ignore[arg-type]
+        # A file that a power cut leaves short is found out by its checksum.
+        write_atomic(self.path(block), buffer.getbuffer(), sync=False)

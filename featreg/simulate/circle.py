@@ -20,6 +20,7 @@ from featreg.errors import ParameterError
 from featreg.focusing.backprojection import SPEED_OF_LIGHT
 from featreg.focusing.phase_history import PhaseHistory
 from featreg.runtime.parameters import Count, Positive, checked
+from featreg.runtime.threads import worker_count
 from featreg.types import FloatArray, kept, points, read_only
 
 #: Scatterers of one vehicle, over all aspects; one in twenty or so is seen at a time.
@@ -263,7 +264,7 @@ def circular_phase_history(
     frequencies = np.linspace(path.lowest_frequency, path.lowest_frequency + path.bandwidth, path.frequencies)
     seen = _seen(lot, float(azimuth[0]), float(azimuth[-1]))
     chunks = [slice(i, min(i + PULSES, len(turn))) for i in range(0, len(turn), PULSES)]
-    with ThreadPoolExecutor(workers) as pool:
+    with ThreadPoolExecutor(worker_count(workers)) as pool:
         parts = pool.map(lambda rows: _samples(seen, azimuth[rows], positions[rows], r0[rows], frequencies), chunks)
         samples = np.concatenate(list(parts))
     return PhaseHistory(read_only(samples), frequencies, positions, r0, azimuth, name="simulated circle")

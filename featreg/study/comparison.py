@@ -8,6 +8,7 @@ from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
+from featreg.runtime.threads import worker_count
 from featreg.study.engine import Run
 from featreg.study.experiment import Experiment
 from featreg.study.metrics import STANDARD
@@ -81,6 +82,6 @@ def compare(
     protocol = Protocol(threshold=threshold, time_limit=time_limit, timing=timing, warm_up=warm_up)
     seeds = (seed,) if isinstance(seed, int) else tuple(seed)
     experiment = Experiment(pairs, methods, overrides, {}, seeds, protocol, metrics)
-    apart = (workers > 1 or time_limit is not None) if isolate is None else isolate
+    apart = (worker_count(workers) > 1 or time_limit is not None) if isolate is None else isolate
     how = Run(executor, apart, workers, time_limit, timing, warm_up, progress=progress, cancel=cancel)
     return experiment.run_as(how, cache).table()

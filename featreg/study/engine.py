@@ -13,8 +13,9 @@ from typing import Any
 
 from featreg.errors import CancelledError
 from featreg.results.registration import Registration
+from featreg.runtime.executors import InProcessExecutor
 from featreg.runtime.isolation import IsolatedExecutor
-from featreg.runtime.threads import single_threaded
+from featreg.runtime.threads import single_threaded, worker_count
 from featreg.study.jobs import (
     ROLES,
     Job,
@@ -57,6 +58,9 @@ class Run:
     keypoints: bool = False
     progress: Callable[[int, int], None] | None = None
     cancel: threading.Event | None = None
+
+    def __post_init__(self) -> None:
+        worker_count(self.workers)
 
 
 def run_jobs(
@@ -144,7 +148,7 @@ class _Engine:
             with _isolated(self.how.workers, self.how.time_limit) as executor:
                 yield executor
         else:
-            yield _Here()
+            yield InProcessExecutor()
 
     @contextmanager
     def _serial(self) -> Iterator[Executor]:
@@ -152,7 +156,7 @@ class _Engine:
             with _isolated(1, self.how.time_limit) as executor:
                 yield executor
         else:
-            yield _Here()
+            yield InProcessExecutor()
 
     def _predict_all(self, pool: Executor, missing: Sequence[Job]) -> None:
         """Predict in whatever order the executor finishes; each result is kept as soon as it is there."""
@@ -260,15 +264,3 @@ def _isolated(workers: int, time_limit: float | None) -> Iterator[IsolatedExecut
         yield executor
     finally:
         executor.shutdown(cancel_futures=True)
-
-
-class _Here(Executor):
-    """Runs a call when it is submitted, in this process."""
-
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        future: Future[Any] = Future()
-        try:
-            future.set_result(fn(*args, **kwargs))
-        except Exception as error:
-            future.set_exception(error)
-        return future

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from featreg.errors import InputError, ParameterError
-from featreg.geometry.cells import spread
+from featreg.geometry import spread
 from featreg.interfaces import FailedFit
 from featreg.registry import entries
 from featreg.results.registration import Registration
@@ -313,8 +313,7 @@ def _known(errors: ArrayLike) -> FloatArray:
 
 
 def _shape(registration: Registration, truth: Truth, image_shape: tuple[int, int] | None) -> tuple[int, int] | None:
-    reference = (registration.provenance.get("inputs") or {}).get("reference") or {}
-    said = (reference["height"], reference["width"]) if reference.get("height") and reference.get("width") else None
+    said = None if registration.reference is None else registration.reference.shape
     shape = image_shape or said or truth.shape
     if shape is None:
         return None

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from featreg.errors import ParameterError, UnknownNameError, suggest
-from featreg.geometry.cells import spread
+from featreg.geometry import spread
 from featreg.interfaces import FailedFit
 from featreg.results.json_file import plain
 from featreg.results.registration import Registration
@@ -89,8 +89,8 @@ class Case:
 
     def shape(self, role: str) -> tuple[int, int] | None:
         """(H, W) of an image as the result says it."""
-        said = (self.registration.provenance.get("inputs") or {}).get(role) or {}
-        return (int(said["height"]), int(said["width"])) if said.get("height") and said.get("width") else None
+        image = self.registration.reference if role == "reference" else self.registration.secondary
+        return None if image is None else image.shape
 
 
 @dataclass(frozen=True)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import inspect
 import io
 import sys
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -22,6 +21,7 @@ from featreg.pipeline.keywords import deciding, of_pipeline
 from featreg.registry import KINDS, entries
 from featreg.results.json_file import write_registration
 from featreg.results.registration import Registration
+from featreg.runtime.digests import digest_bytes, digest_value
 from featreg.runtime.files import write_atomic
 from featreg.types import FloatArray
 
@@ -38,7 +38,7 @@ class PredictionCache:
 
     def __init__(self, folder: Path | None) -> None:
         self.folder = folder
-        self.images: dict[str, bytes] = {}
+        self.images: dict[str, str] = {}
 
     def key(self, name: str, images: tuple[Any, ...], keywords: Mapping[str, Any], also: Any = None) -> str | None:
         """The digest, or None where something has no certain one: such a result is not kept.
@@ -52,7 +52,7 @@ class PredictionCache:
             if name not in self.images:
                 self.images[name] = _digest(list(images))
             decides = deciding(keywords)
-            return _digest([f"featreg {__version__}", _code(decides), self.images[name], decides, also]).hex()
+            return _digest([f"featreg {__version__}", _code(decides), self.images[name], decides, also])
         except (TypeError, ValueError, AttributeError, OSError, RecursionError):
             return None
 
@@ -102,7 +102,7 @@ class PredictionCache:
         write_atomic(self.folder / f"{key}.npz", out.getvalue())
 
 
-def _code(keywords: Mapping[str, Any]) -> list[bytes]:
+def _code(keywords: Mapping[str, Any]) -> list[str]:
     """Digests of the code that decides a result: the core, and the plugins that the method uses."""
     return [_core(), *(_file(module) for module in sorted(_modules(keywords)))]
 
@@ -126,7 +126,7 @@ def _of(plugin: Plugin) -> set[str]:
 
 
 @lru_cache(maxsize=1)
-def _core() -> bytes:
+def _core() -> str:
     """Digest of the modules of this package that may decide a result."""
     package = Path(__file__).parents[1]
     files = {path for path in package.rglob("*.py") if not path.relative_to(package).parts[0] not in AFTERWARDS}
@@ -134,48 +134,24 @@ def _core() -> bytes:
 
 
 @lru_cache
-def _file(module: str) -> bytes:
+def _file(module: str) -> str:
     """Digest of the source of a loaded module, with the whole package of one that is not ours; of its name without."""
-    digest = hashlib.sha256(module.encode())
     source = getattr(sys.modules.get(module), "__file__", None)
     top = module.partition(".")[0]
     folders = [] if top == "featreg" else getattr(sys.modules.get(top), "__path__", [])
     files = sorted(file for folder in folders for file in Path(folder).rglob("*.py"))
-    for path in files or ([] if source is None else [Path(source)]):
-        digest.update(path.read_bytes())
-    return digest.digest()
+    content = (path.read_bytes() for path in files or ([] if source is None else [Path(source)]))
+    return digest_bytes(module.encode() + b"".join(content))
 
 
-def _digest(value: Any) -> bytes:
-    digest = hashlib.sha256()
-    _feed(digest.update, value)
-    return digest.digest()
+def _digest(value: Any) -> str:
+    return digest_value(value, _parts)
 
 
-def _feed(update: Callable[[bytes], None], value: Any) -> None:
-    """Feed the content of `value` to a digest; TypeError where the content cannot be known for certain."""
-    update(f"<{type(value).__module__}.{type(value).__qualname__}>".encode())
-    if isinstance(value, str | Path) and Path(value).is_file():
-        with open(value, "rb") as file:
-            update(Path(value).suffix.encode() + hashlib.file_digest(file, "sha256").digest())
-    elif value is None or isinstance(value, bool | int | float | complex | str | bytes | Path | np.generic):
-        update(repr(value).encode())
-    elif isinstance(value, np.ndarray) and not value.dtype.hasobject:
-        update(f"{value.dtype.str}{value.shape}".encode() + np.ascontiguousarray(value).tobytes())
-    elif isinstance(value, list | tuple):
-        update(str(len(value)).encode())
-        for part in value:
-            _feed(update, part)
-    elif isinstance(value, Mapping):
-        _feed(update, [[str(k), value[k]] for k in sorted(value, key=str)])
-    elif isinstance(value, Model):
-        _feed(update, dict(value.parameters))
-    elif dataclasses.is_dataclass(value) and not isinstance(value, type):
-        _feed(update, {f.name: getattr(value, f.name) for f in dataclasses.fields(value) if f.init})
-    elif isinstance(value, tuple(KINDS.values())):
-        # A plugin is its class and its parameters, which it keeps under their own names.
-        _feed(update, {name: getattr(value, name) for name in inspect.signature(type(value)).parameters})
-    elif (isinstance(value, type) or inspect.isfunction(value)) and "<" not in value.__qualname__:
-        update(f"{value.__module__}.{value.__qualname__}".encode())
-    else:
-        raise TypeError(f"{type(value)} has no digest")
+def _parts(value: Any) -> dict[str, Any] | None:
+    """What decides what a model or a plugin does: its parameters, which a plugin keeps under their own names."""
+    if isinstance(value, Model):
+        return dict(value.parameters)
+    if isinstance(value, tuple(KINDS.values())):
+        return {name: getattr(value, name) for name in inspect.signature(type(value)).parameters}
+    return None

@@ -13,9 +13,10 @@ that they were given stay as they are, and writing to them changes no object.
 
 from featreg.types.arrays import BoolArray, FloatArray, IntArray, column, finite, kept, points, read_only
 from featreg.types.features import Features
-from featreg.types.gate import Gate
+from featreg.types.gate import Gate, verdict
 from featreg.types.image import Geolocation, Image
 from featreg.types.matches import Matches
+from featreg.types.pixel_size import PixelSize
 
 __all__ = [
     "BoolArray",
@@ -26,9 +27,11 @@ __all__ = [
     "Image",
     "IntArray",
     "Matches",
+    "PixelSize",
     "column",
     "finite",
     "kept",
     "points",
     "read_only",
+    "verdict",
 ]

@@ -101,7 +101,12 @@ def test_match_writes_the_contracted_json_and_a_picture(run: Run, folder: Path, 
     assert picture.read_bytes().startswith(b"\x89PNG")
     data = json.loads(target.read_text(), parse_constant=lambda name: pytest.fail(f"{name} in JSON"))
     assert list(data) == TOP_KEYS
-    assert data["reference"] == {"path": "ref.tif", "width": SIDE, "height": SIDE}
+    image = data["reference"]
+    assert list(image)[:3] == ["path", "width", "height"]
+    assert (image["path"], image["width"], image["height"]) == ("ref.tif", SIDE, SIDE)
+    assert (image["scale"], image["dtype"], image["valid_pixels"]) == ("amplitude", "float32", SIDE * SIDE)
+    assert image["geolocation"]["transform"] == list(PLACE.transform or ())
+    assert "inputs" not in data["provenance"]
     assert {"type", "matrix", "parameters", "rotation_deg", "scale"} <= set(data["model"])
     assert list(data["counts"]) == ["putative", "gms", "fsc", "refine", "inliers"]
     columns = data["tie_points"]["columns"]
@@ -245,8 +250,8 @@ MISUSE: dict[str, tuple[list[str], list[str]]] = {
     "own option": (["match", "ref.tif", "sec.tif", "--set", "seed=2"], ["--seed", "option of its own"]),
     "no equals sign": (["match", "ref.tif", "sec.tif", "--set", "levels"], ["KEY=VALUE", "'levels'"]),
     "twice": (["match", "ref.tif", "sec.tif", "--set", "alpha=2", "--set", "alpha=3"], ["alpha", "twice"]),
-    "word for number": (["match", "ref.tif", "sec.tif", "--set", "fsc.threshold=wide"], ["a number", "3.0", "'wide'"]),
-    "fraction": (["match", "ref.tif", "sec.tif", "--set", "gms.grid=2.5"], ["a whole number", "20", "got 2.5"]),
+    "word for number": (["match", "ref.tif", "sec.tif", "--set", "fsc.threshold=wide"], ["a number above 0", "'wide'"]),
+    "fraction": (["match", "ref.tif", "sec.tif", "--set", "gms.grid=2.5"], ["a whole number from 3 to 60", "got 2.5"]),
     "bool": (["match", "ref.tif", "sec.tif", "--set", "gms.rotation=maybe"], ["true or false", "'maybe'"]),
     "trust": (["match", "ref.tif", "sec.tif", "--set", "trust.scale=x"], ["a number", "'x'"]),
     "refine": (["match", "ref.tif", "sec.tif", "--set", "half=x"], ["a whole number", "'x'"]),

@@ -11,6 +11,7 @@ from featreg.cli.main import main
 from featreg.geometry import Affine
 from featreg.interfaces import FailedFit, Model
 from featreg.io import as_image, write_geotiff
+from featreg.results.input_image import InputImage
 from featreg.results.registration import Registration
 from featreg.types import Geolocation, Matches
 
@@ -40,13 +41,12 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def result(path: Path, model: Model | FailedFit = MOVE, status: str = "ok", suffix: str = "") -> None:
     scale = "complex" if suffix else "amplitude"
-    inputs = {
-        role: {"path": f"{name}{suffix}.tif", "width": SIDE, "height": SIDE, "scale": scale}
-        for role, name in (("reference", "ref"), ("secondary", "sec"))
-    }
+    reference, secondary = (InputImage(f"{name}{suffix}.tif", (SIDE, SIDE), scale) for name in ("ref", "sec"))
     reason = "" if status == "ok" else "made up"
-    provenance = {"inputs": inputs, "method": "m", "seed": 0}
-    Registration(Matches.empty(), {}, np.zeros(0, bool), model, status, reason, provenance=provenance).to_json(path)
+    Registration(
+        Matches.empty(), {}, np.zeros(0, bool), model, status, reason,
+        provenance={"method": "m", "seed": 0}, reference=reference, secondary=secondary,
+    ).to_json(path)  # fmt: skip
 
 
 def test_warp_and_coherence_of_a_complex_pair(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

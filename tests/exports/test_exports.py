@@ -19,6 +19,7 @@ from featreg.geometry import Affine
 from featreg.interfaces import FailedFit
 from featreg.io import write_geotiff
 from featreg.matching import fit
+from featreg.results.input_image import InputImage
 from featreg.results.registration import Registration
 from featreg.study.truth import read_truth
 from featreg.types import Geolocation, Matches
@@ -56,10 +57,10 @@ def made(folder: Path, place: Geolocation | None = PLACE, status: str = "ok") ->
     matches = Matches(REFERENCE, SECONDARY, score)
     inliers = np.arange(12) < 10
     paths = {"reference": folder / "ref.tif", "secondary": folder / "sec.tif"}
-    inputs = {role: {"path": str(path), "width": SHAPE[1], "height": SHAPE[0]} for role, path in paths.items()}
+    images: dict[str, Any] = {role: InputImage(str(path), SHAPE) for role, path in paths.items()}
     stages = {"gms": np.arange(12) < 11, "fsc": inliers}
     reason = "" if status == "ok" else "made up"
-    return Registration(matches, stages, inliers, MODEL, status, reason, provenance={"inputs": inputs, "method": "m"})
+    return Registration(matches, stages, inliers, MODEL, status, reason, provenance={"method": "m"}, **images)
 
 
 @pytest.mark.parametrize(("to", "name"), [("csv", "t.csv"), ("parquet", "t.parquet"), ("envi", "t.pts")])
@@ -246,10 +247,9 @@ def test_every_format_is_listed_everywhere() -> None:
 @pytest.mark.parametrize("name", sorted(set(FORMATS) - {"rpc"}))
 def test_nothing_to_export_is_no_error(tmp_path: Path, name: str) -> None:
     write_geotiff(tmp_path / "sec.tif", np.ones(SHAPE))
-    inputs = {"secondary": {"path": str(tmp_path / "sec.tif"), "width": 120, "height": 90}}
     failed = Registration(
         Matches.empty(), {}, np.zeros(0, bool), FailedFit("no points"), "unreliable", "no points",
-        provenance={"inputs": inputs},
+        secondary=InputImage(str(tmp_path / "sec.tif"), (90, 120)),
     )  # fmt: skip
     target = tmp_path / f"t{FORMATS[name].suffixes[0]}"
     assert export(failed, target, to=name) == 0

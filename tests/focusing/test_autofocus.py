@@ -209,6 +209,16 @@ def test_few_cells_are_not_enough() -> None:
     assert "too few range cells" in result.reason
 
 
+def test_neighbouring_cells_are_one_place_however_many() -> None:
+    image = np.zeros((SIDE, 96), np.complex64)
+    image[:, 40:46] = speckle((SIDE, 6))
+    result = featreg.focus(image, "pga")
+    assert result.reason == "too few range cells with independent scatterers to check the phase"
+    assert not result.gates["cells"].passed
+    assert result.gates["cells"].value is None
+    assert result.gates["entropy"].passed
+
+
 # Range blocks, carrier, inputs
 
 

@@ -22,6 +22,7 @@ from featreg.geometry import (
     selection_cut,
 )
 from featreg.pipeline.pipeline import Pipeline
+from featreg.results.input_image import InputImage
 from featreg.results.registration import Registration
 from featreg.types import Matches
 
@@ -54,8 +55,8 @@ def registered(
     mad = registry.create("filter", "mad", threshold=threshold, start=start)
     pipeline = Pipeline(None, (("mad", mad),), Rigid, robust=robust, parameters={"robust": robust})
     found = pipeline.fit(Matches(here, there, np.ones(good + bad), covariance), (SIZE, SIZE), (SIZE, SIZE))
-    size = {"width": SIZE, "height": SIZE}
-    return replace(found, provenance={**found.provenance, "inputs": {"reference": size, "secondary": size}})
+    image = InputImage("array", (SIZE, SIZE))
+    return replace(found, reference=image, secondary=image)
 
 
 @pytest.mark.slow

@@ -426,7 +426,7 @@ class TestTable:
             registry.create("detector", "surf")
 
     def test_doctor_knows_where_everything_is(self) -> None:
-        found = featreg_opencv.versions()
+        found = featreg_opencv.homes()
         assert found["ORB"] == "cv2"
         assert found["AKAZE"] == ("cv2" if hasattr(cv2, "AKAZE_create") else "cv2.xfeatures2d")
         from featreg.descriptors import opencv as descriptors

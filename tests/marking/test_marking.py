@@ -128,7 +128,7 @@ def test_a_step_that_cannot_be_saved_is_not_made(tmp_path: Path, monkeypatch: py
     def full(source: Any, target: Any) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("featreg.marking.points.os.replace", full)
+    monkeypatch.setattr("os.replace", full)
     with pytest.raises(InputError, match="No space left"):
         points.add([1, 1], [2, 2])
     assert len(points.points) == len(read_tie_points(tmp_path / "p.csv")) == 2

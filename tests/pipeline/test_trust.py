@@ -11,9 +11,11 @@ import pytest
 from numpy.typing import NDArray
 
 import featreg
+from featreg.errors import ParameterError
 from featreg.geometry import Affine, Homography, Rigid, Translation
 from featreg.interfaces import FailedFit, Model
-from featreg.pipeline.trust import Limits, assess, distinct, distortion
+from featreg.pipeline.trust import Evidence, Limits, assess
+from featreg.pipeline.trust_measures import distinct, distortion
 from featreg.simulate import SimulatedPair, sar_pair
 from featreg.types import BoolArray, FloatArray, Gate, Matches
 
@@ -36,7 +38,7 @@ def judge(
     fitted = Affine.from_estimate(matches.reference_xy[inliers], matches.secondary_xy[inliers])
     model: Model | FailedFit = more.pop("model", fitted)
     every = np.ones(len(matches), np.bool_)
-    return assess(matches, every, inliers, inliers, model, SHAPE, SHAPE, limits or Limits(), **more)
+    return assess(Evidence(matches, every, inliers, inliers, model, SHAPE, SHAPE, **more), limits or Limits())
 
 
 def test_good_tie_points_pass_every_gate() -> None:
@@ -93,6 +95,31 @@ def test_every_failing_gate_is_named() -> None:
     assert {n for n, g in gates.items() if not g.passed} == {"inliers", "anisotropy"}
     assert "inliers" in reason
     assert "anisotropy" in reason
+
+
+def test_the_gates_stand_in_their_order_and_those_without_a_limit_are_left_out() -> None:
+    names = ["inliers", "spread", "significance", "held_out", "uncertainty", "stability"]
+    linear = ["determinant", "scale", "anisotropy"]
+    points = tie_points()
+    assert list(judge(*points)[2]) == [*names, *linear]
+    every = Limits(distortion_px=9.0, dilution=9.0)
+    further = {"blocks": Gate(0.0, low=0.1, meaning="share")}
+    model = Rigid.from_estimate(points[0].reference_xy[points[1]], points[0].secondary_xy[points[1]])
+    evidence = Evidence(points[0], points[1], points[1], points[1], model, SHAPE, SHAPE, Affine(MATRIX), 50.0)
+    status, reason, gates = assess(evidence, every, further)
+    assert list(gates) == [*names, "distortion", "dilution", *linear, "prior", "blocks"]
+    assert status == "unreliable"
+    assert reason.endswith("; blocks 0 is below 0.1 (share)")
+    assert (gates["scale"].low, gates["scale"].high) == (1 / 2.5, 2.5)
+
+
+@pytest.mark.parametrize(
+    "limits", [{"held_out_px": math.nan}, {"least_spread": math.inf}, {"significance": -math.inf}, {"scale": 0.0}]
+)
+def test_a_limit_that_nothing_can_meet_is_refused(limits: dict[str, Any]) -> None:
+    with pytest.raises(ParameterError, match=next(iter(limits))):
+        Limits(**limits)
+    Limits(held_out_px=math.inf, least_spread=-math.inf)
 
 
 def test_a_model_far_from_the_prior_is_unreliable() -> None:

@@ -14,6 +14,7 @@ from featreg.errors import InputError, ParameterError
 from featreg.interfaces import FailedFit, Model
 from featreg.io import as_image
 from featreg.products.resample import TILE, resample, warp
+from featreg.results.input_image import InputImage
 from featreg.results.registration import Registration
 from featreg.types import FloatArray, Image, Matches
 
@@ -64,10 +65,9 @@ def expected(model: Affine, shape: tuple[int, int]) -> NDArray[np.float64]:
     return smooth(xy[:, 0], xy[:, 1]).reshape(shape)
 
 
-def registration(model: Any, status: str = "ok", inputs: Any = None) -> Registration:
+def registration(model: Any, status: str = "ok", image: InputImage | None = None) -> Registration:
     reason = "" if status == "ok" else "too few points"
-    provenance = {} if inputs is None else {"inputs": inputs}
-    return Registration(Matches.empty(), {}, np.zeros(0, bool), model, status, reason, provenance=provenance)
+    return Registration(Matches.empty(), {}, np.zeros(0, bool), model, status, reason, reference=image)
 
 
 @pytest.mark.parametrize(("resampling", "tolerance"), [("bilinear", 0.03), ("cubic", 1.5e-3), ("lanczos", 8e-3)])
@@ -202,17 +202,17 @@ def test_misuse_of_resample() -> None:
         resample(made(), lambda xy: xy[:-1], (10, 10))
 
 
-INPUTS = {"reference": {"path": "r.tif", "width": 130, "height": 110}}
+REFERENCE = InputImage("r.tif", (110, 130))
 
 
 def test_warp_puts_nan_where_there_is_no_data() -> None:
     image = made()
-    out = warp(registration(Affine(), inputs=INPUTS), image.pixels.copy())
+    out = warp(registration(Affine(), image=REFERENCE), image.pixels.copy())
     same = resample(image, Affine(), (110, 130))
     assert out.dtype == np.float32
     np.testing.assert_array_equal(np.isnan(out), ~same.mask)
     np.testing.assert_array_equal(out[same.mask], same.pixels[same.mask])
-    complex_out = warp(registration(Affine(), inputs=INPUTS), image.pixels * np.complex64(1j))
+    complex_out = warp(registration(Affine(), image=REFERENCE), image.pixels * np.complex64(1j))
     assert complex_out.dtype == np.complex64
     hole = complex_out[~same.mask]
     assert np.isnan(hole.real).all()
@@ -234,6 +234,6 @@ def test_warp_knows_the_reference_from_like(tmp_path: Path) -> None:
 
 def test_warp_without_a_model_and_with_an_untrusted_one(caplog: pytest.LogCaptureFixture) -> None:
     with pytest.raises(InputError, match=r"no model \(only 2 points\)"):
-        warp(registration(FailedFit("only 2 points"), "unreliable", INPUTS), made())
-    warp(registration(shift(0, 0), "unreliable", INPUTS), made())
+        warp(registration(FailedFit("only 2 points"), "unreliable", REFERENCE), made())
+    warp(registration(shift(0, 0), "unreliable", REFERENCE), made())
     assert "unreliable (too few points)" in caplog.text

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from featreg.geometry import Translation
 from featreg.io import as_image, read_image
 from featreg.products.lattice import lattice_of
 from featreg.products.resample import resample
+from featreg.results.input_image import InputImage
 from featreg.results.registration import Registration
 from featreg.simulate.scene import ScenePair, simulate_scene
 from featreg.types import Matches
@@ -44,10 +46,10 @@ def result(scene: ScenePair, model: RpcBias, tmp_path: Path, monkeypatch: pytest
     monkeypatch.chdir(tmp_path)
     here = np.random.default_rng(0).uniform([40, 40], [280, 216], (30, 2))
     paths = {"reference": scene.reference, "secondary": scene.secondary}
-    inputs = {role: {"path": str(p), "width": 320, "height": 256, "scale": "amplitude"} for role, p in paths.items()}
+    images: dict[str, Any] = {role: InputImage(str(p), (256, 320), "amplitude") for role, p in paths.items()}
     matches = Matches(here, scene.truth(here), np.ones(30))
-    provenance = {"inputs": inputs, "method": "m"}
-    Registration(matches, {}, np.ones(30, bool), model, "ok", "", provenance=provenance).to_json(tmp_path / "r.json")
+    made = Registration(matches, {}, np.ones(30, bool), model, "ok", provenance={"method": "m"}, **images)
+    made.to_json(tmp_path / "r.json")
     return tmp_path / "r.json"
 
 
@@ -162,10 +164,10 @@ def test_the_corrected_rpc_is_exported_and_read_by_gdal(
 
 def test_a_corrected_rpc_needs_an_rpc_bias(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     here = np.random.default_rng(0).uniform(0, 90, (10, 2))
-    inputs = {role: {"path": "array", "width": 100, "height": 100} for role in ("reference", "secondary")}
+    image = InputImage("array", (100, 100))
     reg = Registration(
         Matches(here, here, np.ones(10)), {}, np.ones(10, bool), Translation(1.0, 2.0), "ok",
-        provenance={"inputs": inputs, "method": "m"},
+        provenance={"method": "m"}, reference=image, secondary=image,
     )  # fmt: skip
     reg.to_json(tmp_path / "r.json")
     assert main(["export", str(tmp_path / "r.json"), "--to", "rpc", "-o", str(tmp_path / "x_RPC.TXT")]) == 2

@@ -22,6 +22,7 @@ from featreg.products.lattice import OtherGrids, resized
 from featreg.products.phase_ramp import PhaseRamp
 from featreg.products.resample import resample
 from featreg.products.warping import Product, warp_file
+from featreg.results.input_image import InputImage
 from featreg.results.registration import Registration
 from featreg.types import Geolocation, Matches
 
@@ -44,12 +45,10 @@ def registration(
     folder: Path, model: Any = MOVE, size: tuple[int, int] = SHAPE, scale: str = "amplitude", status: str = "ok"
 ) -> Registration:
     paths = {"reference": folder / "ref.tif", "secondary": folder / "sec.tif"}
-    inputs = {
-        role: {"path": str(path), "width": size[1], "height": size[0], "scale": scale} for role, path in paths.items()
-    }
+    images: dict[str, Any] = {role: InputImage(str(path), size, scale) for role, path in paths.items()}
     reason = "" if status == "ok" else "made up"
     return Registration(
-        Matches.empty(), {}, np.zeros(0, bool), model, status, reason, provenance={"inputs": inputs, "method": "m"}
+        Matches.empty(), {}, np.zeros(0, bool), model, status, reason, provenance={"method": "m"}, **images
     )
 
 

@@ -33,6 +33,7 @@ from featreg.report.content import content
 from featreg.report.page import render
 from featreg.report.pictures import picture
 from featreg.report.tie_points import INLIER, JUDGED, SCORED, lattice, tie_points
+from featreg.results.input_image import InputImage
 from featreg.results.registration import Registration
 from featreg.types import FloatArray, Image, Matches
 
@@ -51,10 +52,8 @@ def registration(count: int = 60, seed: int = 0, size: tuple[int, int] = (120, 1
     secondary[false] += 30
     stages = {"gms": ~(row % 6 == 5), "ransac": ~false}
     matches = Matches(reference, secondary, rng.random(count))
-    inputs = {"reference": {"width": size[0], "height": size[1]}}
-    made = Registration(
-        matches, stages, ~false, TRUTH, "ok", timings={"detect": 0.1, "match": 0.2}, provenance={"inputs": inputs}
-    )
+    image = InputImage("array", size[::-1])
+    made = Registration(matches, stages, ~false, TRUTH, "ok", timings={"detect": 0.1, "match": 0.2}, reference=image)
     return replace(made, **change)
 
 

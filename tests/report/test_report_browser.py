@@ -16,6 +16,7 @@ import pytest
 from featreg.geometry import Affine
 from featreg.interfaces import FailedFit
 from featreg.report import ReportColumn, ReportEntry, ReportPair, ReportStudy, ReportSweep, ReportTable, write_report
+from featreg.results.input_image import InputImage
 from featreg.results.registration import Registration
 from featreg.types import Image, Matches
 
@@ -40,7 +41,7 @@ def registration(count: int, seed: int, **change: Any) -> Registration:
         TRUTH,
         "ok",
         timings={"detect": 0.2, "match": 0.1},
-        provenance={"inputs": {"reference": {"width": 120, "height": 100}}},
+        reference=InputImage("array", (100, 120)),
     )
     return replace(made, **change)
 

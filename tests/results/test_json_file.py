@@ -14,6 +14,7 @@ import pytest
 from featreg.errors import InputError
 from featreg.geometry import Affine, Polynomial2
 from featreg.interfaces import FailedFit
+from featreg.results.input_image import InputImage
 from featreg.results.json_file import MAX_ROWS, plain, registration_to_dict
 from featreg.results.registration import Registration
 from featreg.types import Gate, Matches
@@ -54,17 +55,15 @@ def registration(count: int = 60, refined: int = 15, seed: int = 3, **changes: A
         refine,
         model,
         "ok",
-        gates={"count": Gate(15.0, True, low=8.0, meaning="tie points"), "spread": Gate(None, True)},
+        gates={"count": Gate(15.0, low=8.0, meaning="tie points"), "spread": Gate(None)},
         timings={"detect": 0.125, "match": 0.5},
         provenance={
             "method": "sar-orb",
             "seed": 7,
-            "inputs": {
-                "reference": {"path": "a.tif", "width": 512, "height": 500},
-                "secondary": {"path": "b.tif", "width": 511, "height": 499},
-            },
             "parameters": {"n_features": 5000},
         },
+        reference=InputImage("a.tif", (500, 512)),
+        secondary=InputImage("b.tif", (499, 511)),
     )
     return replace(made, **changes)
 
@@ -179,7 +178,7 @@ def test_nan_and_infinity_become_null(tmp_path: Path) -> None:
     made = replace(
         made,
         matches=replace(made.matches, score=score),
-        gates={"significance": Gate(np.inf, True)},
+        gates={"significance": Gate(np.inf)},
         provenance={"threshold": np.float32("nan"), "method": "sar-orb"},
     )
     read, data = round_trip(made, tmp_path)
@@ -281,6 +280,7 @@ def test_foreign_and_spoiled_files_are_refused(tmp_path: Path) -> None:
         {**good, "tie_points": None},
         {**good, "model": {"type": "no-such-model", "parameters": {}}},
         {**good, "gates": {"count": {"colour": 1}}},
+        {**good, "gates": {"count": {**good["gates"]["count"], "passed": False}}},
         {**good, "status": "perfect"},
     ]
     file = tmp_path / "spoiled.json"

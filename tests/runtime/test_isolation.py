@@ -62,6 +62,18 @@ class Exits(Good):
         sys.exit("enough")
 
 
+def cut_off():
+    # Killed in the middle of handing its result back, as by the system when memory is short.
+    from multiprocessing import connection
+
+    def half(self, content):
+        os.write(self.fileno(), bytes(content)[: len(content) // 2])
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    connection.Connection._send = half
+    return bytes(1 << 20)
+
+
 STATE = {"poisoned": False}
 
 
@@ -190,6 +202,23 @@ def test_a_job_that_met_a_damaged_process_is_tried_in_a_fresh_one(rogues: Any) -
         assert executor.submit(abs, -3).result() == 3
 
 
+def test_a_process_killed_while_it_answers_costs_its_own_job_only(rogues: Any) -> None:
+    with IsolatedExecutor(2) as executor:
+        lost = executor.submit(rogues.cut_off)
+        others = [executor.submit(pow, 2, k) for k in range(4)]
+        with pytest.raises(WorkerLostError, match="died of SIGKILL"):
+            lost.result(60)
+        assert [other.result(60) for other in others] == [1, 2, 4, 8]
+
+
+def test_what_is_queued_is_finished_when_the_executor_is_left(rogues: Any) -> None:
+    with IsolatedExecutor(1) as executor:
+        futures = [executor.submit(abs, -k) for k in range(3)]
+        pid = executor.submit(rogues.threads).result()[2]
+    assert [future.result() for future in futures] == [0, 1, 2]
+    assert not alive(pid)
+
+
 SCRIPT = """
 import sys
 from dataclasses import dataclass
@@ -230,7 +259,7 @@ def test_shutting_down_ends_what_runs_and_drops_what_waits(rogues: Any) -> None:
     assert waiting.cancelled()
     assert isinstance(running.exception(), WorkerLostError)
     assert not alive(pid)
-    with pytest.raises(RuntimeError, match="shut down"):
+    with pytest.raises(RuntimeError, match="shutdown"):
         executor.submit(abs, 1)
 
 

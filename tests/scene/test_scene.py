@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-import signal
 import threading
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
@@ -20,7 +19,6 @@ from featreg.interfaces import Filter, FilterContext, Matcher
 from featreg.io import as_image
 from featreg.io.raster_source import Window
 from featreg.results.registration import Registration
-from featreg.runtime.executors import can_fork, open_lane
 from featreg.scene.blocks import Block, plan_blocks, spread_out
 from featreg.scene.prior import Prior
 from featreg.scene.task import columns_of, from_columns, run_block, search_window, skip_reason
@@ -207,55 +205,6 @@ def test_the_size_of_the_blocks_hardly_changes_the_model(located_pair: Any, resu
     assert got.model
     assert result.model
     assert np.abs(got.model(grid()) - result.model(grid())).max() < 0.1
-
-
-def test_workers_that_die_are_replaced(tmp_path: Path) -> None:
-    with open_lane("processes", 2) as lane:
-        got = dict(lane.run(_dies_once, (str(tmp_path / "died"),), list(range(8)), None))
-    assert got == {k: k for k in range(8)}
-
-
-def _dies_once(flag: str, number: int) -> int:
-    import os
-
-    if number == 5 and not Path(flag).exists():
-        Path(flag).touch()
-        os._exit(1)
-    return number
-
-
-def test_a_broken_wait_for_the_workers_is_not_broken_off_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A second Ctrl-C while the workers end would leave them waiting for ever."""
-    before = signal.getsignal(signal.SIGINT)
-    during: list[Any] = []
-    with open_lane("processes", 2) as lane:
-        running = lane.run(_double, (), list(range(6)), None)
-        assert next(running) == (0, 0)
-        next(running)
-        shutdown = ProcessPoolExecutor.shutdown
-
-        def watched(pool: Any, **keywords: Any) -> None:
-            during.append(signal.getsignal(signal.SIGINT))
-            shutdown(pool, **keywords)
-
-        monkeypatch.setattr(ProcessPoolExecutor, "shutdown", watched)
-    assert during == [signal.SIG_IGN]
-    assert signal.getsignal(signal.SIGINT) == before
-
-
-def _double(number: int) -> int:
-    return 2 * number
-
-
-def test_a_process_with_several_threads_is_not_forked() -> None:
-    stop = threading.Event()
-    thread = threading.Thread(target=stop.wait)
-    thread.start()
-    try:
-        assert not can_fork()
-    finally:
-        stop.set()
-        thread.join()
 
 
 # ---------------------------------------------------------------- progress, cancel

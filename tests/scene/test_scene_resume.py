@@ -237,15 +237,14 @@ def test_the_command_works_in_blocks(
 def test_a_full_disk_is_said_and_leaves_no_half_file(
     located_pair: Any, undisturbed: tuple[Path, Registration], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    state, written = tmp_path / "state", Path.write_bytes
+    state, renamed = tmp_path / "state", os.replace
 
-    def full(path: Path, content: Any) -> int:
+    def full(source: Path, target: Path) -> None:
         if len(list(state.glob("*.npz"))) < 3:
-            return written(path, content)
-        written(path, bytes(content)[:100])
+            return renamed(source, target)
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(Path, "write_bytes", full)
+    monkeypatch.setattr(os, "replace", full)
     with pytest.raises(featreg.FeatregError, match="No space left"):
         again(located_pair, state)
     assert len(list(state.iterdir())) == 3

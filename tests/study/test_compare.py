@@ -19,6 +19,7 @@ import pytest
 from featreg.errors import CancelledError, InputError, ParameterError, UnknownNameError
 from featreg.geometry import Rigid
 from featreg.interfaces import FailedFit, Matcher
+from featreg.results.input_image import InputImage
 from featreg.results.registration import Registration
 from featreg.study.comparison import compare
 from featreg.study.table import COLUMNS, Table
@@ -72,11 +73,8 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> Calls:
             "ok" if len(errors) else "unreliable",
             "" if len(errors) else "no tie points",
             timings={"detect": 0.25, "match": 0.25 * len(made)},
-            provenance={
-                "method": name,
-                "parameters": {"n_features": 5000},
-                "inputs": {"reference": {"path": "a", "width": 100, "height": 80}},
-            },
+            provenance={"method": name, "parameters": {"n_features": 5000}},
+            reference=InputImage("a", (80, 100)),
         )
 
     module = ModuleType("featreg.matching")

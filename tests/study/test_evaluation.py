@@ -13,6 +13,7 @@ import pytest
 from featreg.errors import InputError, ParameterError
 from featreg.geometry import Affine, Translation
 from featreg.interfaces import FailedFit
+from featreg.results.input_image import InputImage
 from featreg.results.registration import Registration
 from featreg.study.evaluation import (
     evaluate,
@@ -46,7 +47,7 @@ def registration(errors: Any, model: Any = TRUTH, **changes: Any) -> Registratio
         model,
         "ok",
         timings={"detect": 0.25, "match": 0.5},
-        provenance={"inputs": {"reference": {"path": "a", "width": SHAPE[1], "height": SHAPE[0]}}},
+        reference=InputImage("a", SHAPE),
     )
     return replace(made, **changes)
 
@@ -105,7 +106,7 @@ def test_the_threshold_itself_is_correct_and_must_be_positive() -> None:
 
 
 def test_image_size_comes_from_the_result_or_the_caller() -> None:
-    made = registration([0.1] * 9, Affine(MATRIX * [[1.01], [1.01]]), provenance={})
+    made = registration([0.1] * 9, Affine(MATRIX * [[1.01], [1.01]]), reference=None)
     assert np.isnan(evaluate(made, TRUTH).grid_rmse)
     assert np.isnan(evaluate(made, TRUTH).spread)
     grid = grid_points(SHAPE)

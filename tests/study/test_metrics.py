@@ -12,6 +12,7 @@ import pytest
 from featreg.errors import InputError, ParameterError, UnknownNameError
 from featreg.geometry import Affine, Translation
 from featreg.interfaces import FailedFit
+from featreg.results.input_image import InputImage
 from featreg.results.registration import Registration
 from featreg.study.evaluation import area_under_curve, repeatable
 from featreg.study.intervals import Interval, interval
@@ -27,7 +28,7 @@ ERRORS = np.array([0.0, 0.5, 1.0, 1.2, 1.5, 2.5, 6.0, 50.0])
 
 def case(model: Any = SHIFT, status: str = "ok", **changes: Any) -> Case:
     xy = np.stack([np.linspace(5, 180, len(ERRORS)), np.linspace(5, 95, len(ERRORS))], axis=1)
-    size = {"path": "a", "width": SHAPE[1], "height": SHAPE[0]}
+    image = InputImage("a", SHAPE)
     made = Registration(
         Matches(xy, SHIFT(xy) + np.stack([0 * ERRORS, ERRORS], axis=1), np.ones(len(xy))),
         {"gms": np.ones(len(xy), bool), "fsc": ERRORS < 2},
@@ -35,7 +36,9 @@ def case(model: Any = SHIFT, status: str = "ok", **changes: Any) -> Case:
         model,
         status,
         "" if status == "ok" else "too few",
-        provenance={"inputs": {"reference": size, "secondary": size}, "blocks": {"total": 6}},
+        provenance={"blocks": {"total": 6}},
+        reference=image,
+        secondary=image,
     )
     return replace(Case(made, read_truth(SHIFT), act={"detect": 0.25, "match": 0.5}), **changes)
 

@@ -25,12 +25,12 @@ class OutsideCorners(Detector):
     spacing : half the side of the square in which a corner is the largest, px
     """
 
-    block_parameters: ClassVar[Mapping[str, Any]] = MappingProxyType({"spacing": 3})
+    block_parameters: ClassVar[Mapping[str, Any]] = MappingProxyType({"spacing": 2})
 
     n_features: int = 5000
-    sigma: float = 2.0
+    sigma: float = 1.2
     describe: bool = True
-    spacing: int = 4
+    spacing: int = 3
 
     def detect_features(self, image: Image) -> Features:
         from scipy import ndimage
@@ -46,10 +46,12 @@ class OutsideCorners(Detector):
         strength = (a + c) / 2 - np.hypot((a - c) / 2, b)
         peak = strength == ndimage.maximum_filter(strength, 2 * self.spacing + 1, mode="nearest")
         reach = round(self.reach)
-        clear = ndimage.binary_erosion(image.mask, np.ones((2 * reach + 1, 2 * reach + 1)), border_value=0)
+        clear = ndimage.binary_erosion(image.mask, np.ones((2 * reach + 1, 2 * reach + 1), np.bool_), border_value=0)
         y, x = np.nonzero(peak & clear & (strength > 1e-6))
-        score = strength[y, x] if self.describe else np.ones(len(x))
-        found = Features(np.column_stack([x, y]), 8.0, 0.0, score, np.zeros(len(x)))
+        score = strength[y, x] if self.describe else np.ones(len(x), np.float64)
+        n = len(x)
+        xy = np.column_stack([x, y]).astype(np.float64)
+        found = Features(xy, np.full(n, 8.0), np.zeros(n), score, np.zeros(n, np.int64))
         return found.best(self.n_features)
 
     @property

@@ -1,0 +1,179 @@
+"""What trust looks at: measures of the tie points of a registration and of the model fitted to them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from featreg.errors import InputError
+from featreg.geometry import (
+    Affine,
+    dilution,
+    local_linear,
+    prediction_covariance,
+    refitted_covariance,
+    regional_covariance,
+)
+from featreg.geometry.cells import cells
+from featreg.geometry.robust import irls
+from featreg.interfaces import FailedFit, Model
+from featreg.types import BoolArray, FloatArray, Matches
+
+# Side in px of the cells in which tie points are counted once.
+DISTINCT_PX = 6.0
+# Regions along each side of the tie points' bounding box that are left out in turn.
+REGIONS = 4
+# Tie points this near to a model tell how it is distorted; their errors in px are not told apart below the second.
+NEAR_PX, AFFINE_SCALE_PX = 8.0, 0.6
+
+
+def distinct(reference_xy: FloatArray, secondary_xy: FloatArray) -> int:
+    """Number of tie points once those that share a cell of 6 px, in either image, count as one."""
+    return min(len(np.unique(cells(xy, DISTINCT_PX))) for xy in (reference_xy, secondary_xy))
+
+
+def log10_chance(
+    matches: Matches, putative: BoolArray, supported: BoolArray, model: Model, secondary_shape: tuple[int, int]
+) -> float:
+    """Expected number, as log10, of models that as many matches support by chance (an a-contrario test).
+
+    Parameters
+    ----------
+    matches : all tie points
+    putative, supported : (M,) rows that came from the matcher, and those of them that survived the filters
+    model : fitted to the supported ones
+    secondary_shape : (H, W)
+
+    Returns
+    -------
+    log10 of (n - m) C(n, k) C(k, m) p^(k - m) for k distinct supported of n distinct putative matches, m those that
+    the model needs, p the chance that a random point of the secondary falls within reach of where the model maps.
+
+    Notes
+    -----
+    L. Moisan, B. Stival, "A probabilistic criterion to detect rigid point matches between two images and estimate the
+    fundamental matrix", IJCV 57 (2004), DOI 10.1023/B:VISI.0000013094.38752.54. Distinct: matches whose reference and
+    secondary points fall on a common 6 px cell count once, because one structure is found on several levels.
+    """
+    kept = matches.take(supported & putative)
+    if not len(kept):
+        return 0.0
+    n = _moves(matches.take(putative))
+    k = min(_moves(kept), distinct(kept.reference_xy, kept.secondary_xy))
+    m = model.minimum
+    if k <= m:
+        return 0.0
+    reach = max(3.0, float(np.percentile(model.residuals(kept.reference_xy, kept.secondary_xy), 95)))
+    p = min(1.0, math.pi * (reach + DISTINCT_PX / 2) ** 2 / (secondary_shape[0] * secondary_shape[1]))
+    return math.log10(max(n - m, 1)) + _log10_choose(n, k) + _log10_choose(k, m) + (k - m) * math.log10(p)
+
+
+def _moves(matches: Matches) -> int:
+    """Number of distinct (reference cell, secondary cell) pairs."""
+    pairs = np.column_stack([cells(xy, DISTINCT_PX) for xy in (matches.reference_xy, matches.secondary_xy)])
+    order = np.lexsort(pairs.T)
+    return int((np.diff(pairs[order], axis=0) != 0).any(axis=1).sum()) + 1 if len(pairs) else 0
+
+
+def _log10_choose(n: int, k: int) -> float:
+    return (math.lgamma(n + 1) - math.lgamma(k + 1) - math.lgamma(n - k + 1)) / math.log(10)
+
+
+def model_uncertainty(
+    model: Model, reference_xy: FloatArray, secondary_xy: FloatArray, shape: tuple[int, int]
+) -> float:
+    """Root mean square standard error in pixels of where a model maps a 5 x 5 grid over an image of (H, W).
+
+    Large where the tie points are few, or huddle in one part of the image. NaN where it cannot be told.
+    """
+    try:
+        covariance = prediction_covariance(model, reference_xy, secondary_xy, at=_grid(shape))
+    except InputError:
+        covariance = refitted_covariance(model, reference_xy, secondary_xy, at=_grid(shape))
+    return _overall(covariance)
+
+
+def _grid(shape: tuple[int, int]) -> FloatArray:
+    """(25, 2) points of a 5 x 5 grid over an image of (H, W)."""
+    x, y = np.meshgrid(np.linspace(0, shape[1] - 1, 5), np.linspace(0, shape[0] - 1, 5))
+    return np.column_stack([x.ravel(), y.ravel()])
+
+
+def instability(
+    model: Model, reference_xy: FloatArray, secondary_xy: FloatArray, shape: tuple[int, int]
+) -> float | None:
+    """Root mean square error in pixels of where a model maps a 5 x 5 grid over an image, by leaving out regions.
+
+    Each of 4 x 4 regions of the tie points' bounding box is left out in turn. On real pairs the true error is 1.5 times
+    this value in the median, and 4 times `model_uncertainty`. NaN where it cannot be told; None for a model without
+    known derivatives (a residual field, one of another package), which may follow each region by itself.
+    """
+    if not len(reference_xy):
+        return math.nan
+    low, high = reference_xy.min(axis=0), reference_xy.max(axis=0)
+    place = ((reference_xy - low) / np.maximum(high - low, 1e-9) * REGIONS).astype(np.int64)
+    region = np.minimum(place, REGIONS - 1) @ np.array([1, REGIONS])
+    try:
+        covariance = regional_covariance(model, reference_xy, secondary_xy, region, at=_grid(shape))
+    except InputError:
+        return None
+    return _overall(covariance)
+
+
+def distortion(
+    model: Model, reference_xy: FloatArray, secondary_xy: FloatArray, shape: tuple[int, int]
+) -> float | None:
+    """Root mean square in pixels over an image of (H, W) of a stretch, shear or zoom that a model cannot hold.
+
+    It is the symmetric part of what an affine model, fitted robustly to all tie points within 8 px of the model, does
+    beyond it. A scene out of focus differs so: the rigid model then fits a part of it only, and turns by about as much.
+    NaN where it cannot be told; None for a model that holds them.
+    """
+    if type(model).minimum >= Affine.minimum:
+        return None
+    near = model.residuals(reference_xy, secondary_xy) <= NEAR_PX
+    affine, _ = irls(Affine, reference_xy[near], secondary_xy[near], scale_px=AFFINE_SCALE_PX, iterations=10)
+    if isinstance(affine, FailedFit):
+        return math.nan
+    beyond = affine.matrix[:2, :2] @ np.linalg.inv(local_linear(model, reference_xy[near].mean(axis=0)))
+    strain = (beyond + beyond.T) / 2 - np.eye(2)
+    # A square of side s has the root mean square distance s / sqrt(6) from its centre.
+    return float(np.sqrt((strain**2).sum() / 2 * (shape[0] ** 2 + shape[1] ** 2) / 12))
+
+
+def dilution_over(model: Model, reference_xy: FloatArray, secondary_xy: FloatArray, shape: tuple[int, int]) -> float:
+    """`featreg.geometry.dilution` over a 5 x 5 grid of an image of (H, W)."""
+    try:
+        return dilution(model, reference_xy, secondary_xy, at=_grid(shape))
+    except InputError:
+        return 0.0
+
+
+def at_centre(model: Model, shape: tuple[int, int]) -> FloatArray:
+    """(2, 2) linear part of a model at the centre of an image of (H, W)."""
+    return local_linear(model, np.array([(shape[1] - 1) / 2, (shape[0] - 1) / 2]))
+
+
+def apart(model: Model, initial: Model, reference_xy: FloatArray) -> float:
+    """Mean distance in pixels of two models over tie points; NaN without any."""
+    return float(np.hypot(*(model(reference_xy) - initial(reference_xy)).T).mean()) if len(reference_xy) else math.nan
+
+
+def _overall(covariance: FloatArray | FailedFit) -> float:
+    """Root of the mean variance of points, both coordinates together; NaN where it is not known."""
+    if isinstance(covariance, FailedFit):
+        return math.nan
+    return float(np.sqrt(np.trace(covariance, axis1=1, axis2=2).mean()))
+
+
+def held_out(kind: type[Model], reference_xy: FloatArray, secondary_xy: FloatArray) -> float:
+    """Median residual in pixels of each half of the tie points from the model of the other half; NaN if none fits."""
+    half = np.arange(len(reference_xy)) % 2 == 0
+    residuals = []
+    for fitted in (half, ~half):
+        model = kind.from_estimate(reference_xy[fitted], secondary_xy[fitted])
+        if isinstance(model, FailedFit):
+            return math.nan
+        residuals.append(model.residuals(reference_xy[~fitted], secondary_xy[~fitted]))
+    return float(np.median(np.concatenate(residuals)))

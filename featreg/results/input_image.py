@@ -1,0 +1,90 @@
+"""What a result says of the images it was made from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+
+from featreg.errors import InputError
+from featreg.types import Geolocation, PixelSize
+
+
+@dataclass(frozen=True, eq=False)
+class InputImage:
+    """One of the two images of a registration, without its samples.
+
+    Parameters
+    ----------
+    path : of its file as it was given, "array", or "tie points" where there was no image
+    shape : (H, W)
+    scale : "amplitude", "intensity", "db" or "complex", what its samples were taken for; None where not known
+    dtype : of its samples before conversion; None where not known
+    valid_pixels : how many are data; None where they were never counted
+    pixel_size : on the ground, where its geolocation tells it
+    geolocation : where it lies, as its file says it
+
+    Raises
+    ------
+    InputError
+        A path that is no text, a shape that no image has.
+    """
+
+    path: str
+    shape: tuple[int, int]
+    scale: str | None = None
+    dtype: str | None = None
+    valid_pixels: int | None = None
+    pixel_size: PixelSize | None = None
+    geolocation: Geolocation | None = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.path, str):
+            raise InputError(f"the path of an image must be a text, got {self.path!r}")
+        height, width = (int(n) for n in self.shape)
+        if height < 1 or width < 1:
+            raise InputError(f"the shape of an image must be (H, W) of at least 1 x 1, got {tuple(self.shape)}")
+        object.__setattr__(self, "shape", (height, width))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what a file holds of it: path, width, height, and the rest where known."""
+        place = self.geolocation
+        more = {
+            "scale": self.scale,
+            "dtype": self.dtype,
+            "valid_pixels": self.valid_pixels,
+            "pixel_size": None if self.pixel_size is None else self.pixel_size._asdict(),
+            "geolocation": None if place is None else _known(vars(place)),
+        }
+        return {"path": self.path, "width": self.shape[1], "height": self.shape[0], **_known(more)}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Self | None:
+        """Return the image that `to_dict` wrote; None for one of which nothing is known."""
+        path, width, height = values["path"], values["width"], values["height"]
+        if path is None and width is None and height is None:
+            return None
+        size, place = values.get("pixel_size"), values.get("geolocation")
+        return cls(
+            path,
+            (height, width),
+            values.get("scale"),
+            values.get("dtype"),
+            values.get("valid_pixels"),
+            None if size is None else PixelSize(**size),
+            None if place is None else _geolocation(**place),
+        )
+
+
+def _known(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def _geolocation(transform: Any = None, crs: Any = None, rpcs: Any = None, gcps: Any = None) -> Geolocation:
+    if transform is not None:
+        a, b, c, d, e, f = (float(n) for n in transform)
+        transform = a, b, c, d, e, f
+    # A number that is not finite stands as null.
+    return Geolocation(transform, crs, rpcs, None if gcps is None else np.array(gcps, np.float64).reshape(-1, 5))

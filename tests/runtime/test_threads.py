@@ -1,0 +1,60 @@
+"""How many threads there are, and how many the libraries take."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+import featreg
+from featreg.errors import ParameterError
+from featreg.runtime.threads import available_processors, limited_threads, single_threaded, worker_count
+
+
+def test_opencv_gets_its_threads_back() -> None:
+    before = cv2.getNumThreads()
+    for block, inside in ((single_threaded(), 1), (limited_threads(1), 1), (limited_threads(None, 1), before)):
+        with block:
+            assert cv2.getNumThreads() == inside
+        assert cv2.getNumThreads() == before
+
+
+@pytest.mark.parametrize(("count", "algebra", "seen"), [(1, None, 1), (3, 1, 1), (None, 2, 2), (None, None, None)])
+def test_linear_algebra_is_limited_before_it_is_imported(count: Any, algebra: Any, seen: Any) -> None:
+    code = f"from featreg.runtime.threads import *\nwith limited_threads({count}, {algebra}):\n"
+    code += "    import os; print(os.environ.get('OPENBLAS_NUM_THREADS'), os.environ.get('NUMBA_NUM_THREADS'))"
+    environment = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == [str(seen)] * 2
+
+
+def test_the_number_of_workers() -> None:
+    assert worker_count(None) == available_processors() >= 1
+    assert worker_count(None, 3) == 3
+    assert worker_count(np.int64(2), 3) == 2
+
+
+@pytest.mark.parametrize("given", [0, -1, 1.5, 2.0, True, np.nan])
+def test_impossible_workers_are_refused_wherever_they_are_taken(given: Any) -> None:
+    from featreg.focusing import focus
+    from featreg.products.files import Runner
+    from featreg.runtime.executors import open_executor
+    from featreg.runtime.isolation import IsolatedExecutor
+
+    with pytest.raises(ParameterError, match=r"workers must be a whole number >= 1, got"):
+        worker_count(given)
+    with pytest.raises(ParameterError, match="workers must be"), open_executor(None, given):
+        pass
+    with pytest.raises(ParameterError, match="workers must be"):
+        IsolatedExecutor(given)
+    with pytest.raises(ParameterError, match="workers must be"):
+        _ = Runner(given, None, None).workers
+    with pytest.raises(ParameterError, match="workers must be"):
+        focus(np.ones((20, 20), np.complex64), workers=given)
+    with pytest.raises(ParameterError, match="workers must be"):
+        featreg.compare([(np.ones((20, 20), np.float32),) * 2], ["sar-orb"], workers=given)
