@@ -9,16 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
+from annotated_types import Ge, Gt
 
 from featreg.interfaces import Descriptor
-from featreg.interop.kornia import COMMON, KorniaPart, Row, import_kornia
+from featreg.interop.family import WEIGHTS, option, register_table
+from featreg.interop.kornia import COMMON, KorniaPart, KorniaRow, import_kornia
 from featreg.interop.opencv import inside
 from featreg.interop.torch_arrays import inference, to_tensor
-from featreg.registry import register_family
 from featreg.types import Features, Image
 from featreg.types.lafs import to_numpy
 
@@ -27,12 +27,70 @@ LEARNED_PATCH = 32
 BATCH = 2048
 
 
+def _sift(creator: str, values: Mapping[str, Any]) -> Any:
+    names = ("patch_size", "num_ang_bins", "num_spatial_bins", "rootsift", "clipval")
+    return import_kornia().SIFTDescriptor(**{name: values[name] for name in names})
+
+
+def _mkd(creator: str, values: Mapping[str, Any]) -> Any:
+    return import_kornia().MKDDescriptor(values["patch_size"], values["kernel_type"], whitening=None)
+
+
+def _learned(creator: str, values: Mapping[str, Any], trained: bool = False) -> Any:
+    return getattr(import_kornia(), creator)(pretrained=trained)
+
+
+def _network(creator: str, file: str) -> KorniaRow:
+    """A network that describes patches of 32 x 32 pixels."""
+    return KorniaRow(
+        creator,
+        f"{creator}: learned, of length 128, by kornia",
+        {"magnification": MAGNIFICATION, "weights": WEIGHTS, **COMMON},
+        _learned,
+        lambda values: (file,),
+        f"huggingface.co/kornia/{creator.lower().rstrip('8')}",
+    )
+
+
+MAGNIFICATION = option(1.0, Gt(0), meaning="how much larger than a feature's support its patch is")
+TABLE: dict[str, KorniaRow] = {
+    "kornia-sift": KorniaRow(
+        "SIFTDescriptor",
+        "SIFT (RootSIFT) histograms of patches, by kornia",
+        {
+            "patch_size": option(41, Ge(1)),
+            "num_ang_bins": option(8, Ge(1)),
+            "num_spatial_bins": option(4, Ge(1)),
+            "rootsift": option(True),
+            "clipval": option(0.2, Gt(0)),
+            "magnification": MAGNIFICATION,
+            **COMMON,
+        },
+        _sift,
+    ),
+    "kornia-mkd": KorniaRow(
+        "MKDDescriptor",
+        "MKD: kernel embeddings of gradients, without whitening, by kornia",
+        {
+            "patch_size": option(32, Ge(1)),
+            "kernel_type": option("concat", choices=("concat", "polar", "cart")),
+            "magnification": MAGNIFICATION,
+            **COMMON,
+        },
+        _mkd,
+    ),
+    "kornia-hardnet": _network("HardNet", "checkpoint_liberty_with_aug.pth"),
+    "kornia-hardnet8": _network("HardNet8", "hardnet8v2.pt"),
+    "kornia-hynet": _network("HyNet", "HyNet_LIB.pth"),
+    "kornia-sosnet": _network("SOSNet", "sosnet_32x32_liberty.pth"),
+}
+
+
+@register_table
 class KorniaDescriptor(KorniaPart, Descriptor):
     """One descriptor of kornia: a row of the table by name, and its parameters."""
 
-    @property
-    def row(self) -> Row:
-        return TABLE[self.name]
+    table = TABLE
 
     def describe_features(self, image: Image, features: Features) -> Features:
         """Return the features with (N, D) float32 descriptors of norm "l2", without those outside the image.
@@ -62,73 +120,3 @@ class KorniaDescriptor(KorniaPart, Descriptor):
                 for i in range(0, len(rows), BATCH)
             ]
         return replace(kept, descriptors=np.concatenate(parts), norm="l2", index=index)
-
-
-def _sift(values: Mapping[str, Any]) -> Any:
-    names = ("patch_size", "num_ang_bins", "num_spatial_bins", "rootsift", "clipval")
-    return import_kornia().SIFTDescriptor(**{name: values[name] for name in names})
-
-
-def _mkd(values: Mapping[str, Any]) -> Any:
-    return import_kornia().MKDDescriptor(values["patch_size"], values["kernel_type"], whitening=None)
-
-
-def _learned(kind: str, values: Mapping[str, Any], trained: bool = False) -> Any:
-    return getattr(import_kornia(), kind)(pretrained=trained)
-
-
-def _row(kind: str, summary: str, file: str) -> Row:
-    """A network that describes patches of 32 x 32 pixels."""
-    return Row(
-        f"{summary}, by kornia",
-        {"magnification": 1.0, "weights": None, **COMMON},
-        partial(_learned, kind),
-        {},
-        lambda values: (file,),
-        f"huggingface.co/kornia/{kind.lower().rstrip('8')}",
-        partial(_learned, kind, trained=True),
-    )
-
-
-TABLE: dict[str, Row] = {
-    "kornia-sift": Row(
-        "SIFT (RootSIFT) histograms of patches, by kornia",
-        {
-            "patch_size": 41,
-            "num_ang_bins": 8,
-            "num_spatial_bins": 4,
-            "rootsift": True,
-            "clipval": 0.2,
-            "magnification": 1.0,
-            **COMMON,
-        },
-        _sift,
-    ),
-    "kornia-mkd": Row(
-        "MKD: kernel embeddings of gradients, without whitening, by kornia",
-        {"patch_size": 32, "kernel_type": "concat", "magnification": 1.0, **COMMON},
-        _mkd,
-        {"kernel_type": ("concat", "polar", "cart")},
-    ),
-    "kornia-hardnet": _row("HardNet", "HardNet: learned, of length 128", "checkpoint_liberty_with_aug.pth"),
-    "kornia-hardnet8": _row("HardNet8", "HardNet8: learned, of length 128", "hardnet8v2.pt"),
-    "kornia-hynet": _row("HyNet", "HyNet: learned, of length 128", "HyNet_LIB.pth"),
-    "kornia-sosnet": _row("SOSNet", "SOSNet: learned, of length 128", "sosnet_32x32_liberty.pth"),
-}
-
-
-def _create(name: str, **parameters: Any) -> KorniaDescriptor:
-    return KorniaDescriptor(name, parameters)
-
-
-for _name, _entry in TABLE.items():
-    register_family(
-        "descriptor",
-        _name,
-        partial(_create, _name),
-        _entry.parameters,
-        summary=_entry.summary,
-        module=__name__,
-        unavailable=_entry.unavailable,
-        on_demand=_entry.on_demand,
-    )

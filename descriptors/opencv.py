@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,14 +18,25 @@ from numpy.typing import NDArray
 
 from featreg.errors import InputError
 from featreg.interfaces import Descriptor
-from featreg.interop.opencv import NORMALISE, Algorithm, Parameter, clear_errors, grey, inside, true_to_orb, unavailable
-from featreg.registry import register_family
+from featreg.interop.family import Part, option, register_table
+from featreg.interop.opencv import (
+    HALF_PIXEL,
+    LEVELS,
+    MIN_SIDE,
+    MLDB,
+    SIZES,
+    Algorithm,
+    camel,
+    clear_errors,
+    grey,
+    inside,
+    snake,
+    true_to_orb,
+)
 from featreg.types import Features, Image, IntArray
 from featreg.types.keypoints import to_radians
 
-P = Parameter
 Place = Callable[[Mapping[str, Any], Features, tuple[int, int]], tuple[IntArray, IntArray | None]]
-MIN_SIDE = 16
 SMALLEST = 0.5  # OpenCV 4.10 writes past its memory where SIFT is given a keypoint of size 0
 
 
@@ -47,26 +57,141 @@ class DescriptorAlgorithm(Algorithm):
     anchor: int | None = None
 
 
-@dataclass(frozen=True)
-class OpenCVDescriptor(Descriptor):
-    """One descriptor of OpenCV: a row of the table by name, and its parameters.
+def _steps(features: Features, size: float, per_octave: float) -> IntArray:
+    """(N,) whole steps from the diameter `size` to the features', `per_octave` of them to a factor of two."""
+    diameter = np.maximum(2.0 * features.scale, 1e-6)
+    return np.rint(per_octave * np.log2(diameter / size)).astype(np.int64)
 
-    Parameters
-    ----------
-    name : key of `TABLE`
-    parameters : the values that differ from the defaults; afterwards all, also as attributes
-    """
 
-    name: str
-    parameters: Mapping[str, Any]
+def _place_orb(values: Mapping[str, Any], features: Features, shape: tuple[int, int]) -> tuple[IntArray, None]:
+    per_octave = 1.0 / np.log2(values["scale_factor"])
+    return np.clip(_steps(features, values["patch_size"], per_octave), 0, values["n_levels"] - 1), None
 
-    def __post_init__(self) -> None:
-        values = TABLE[self.name].settings(self.parameters)
-        object.__setattr__(self, "parameters", values)
-        vars(self).update(values)
 
-    def __hash__(self) -> int:
-        return hash((self.name, *self.parameters.values()))
+def _place_sift(values: Mapping[str, Any], features: Features, shape: tuple[int, int]) -> tuple[IntArray, None]:
+    layers = values["n_octave_layers"]
+    steps = _steps(features, 2.0 * values["sigma"], layers)
+    largest = max(0, int(np.log2(min(shape))) - 2)
+    octave = np.clip((steps - 1) // layers, -1, largest)
+    layer = np.clip(steps - octave * layers, 1, layers)
+    return (octave & 255) | (layer << 8), None
+
+
+def _place_akaze(values: Mapping[str, Any], features: Features, shape: tuple[int, int]) -> tuple[IntArray, IntArray]:
+    octaves = 1
+    while octaves < values["n_octaves"] and shape[0] >> octaves >= 40 and shape[1] >> octaves >= 80:
+        octaves += 1
+    layers = values["n_octave_layers"]
+    level = np.clip(_steps(features, 2.0 * 1.5 * 1.6, layers), 0, octaves * layers - 1)
+    return level // layers, level
+
+
+def _place_kaze(values: Mapping[str, Any], features: Features, shape: tuple[int, int]) -> tuple[IntArray, IntArray]:
+    layers = values["n_octave_layers"]
+    level = np.clip(_steps(features, 2.0 * 1.6, layers), 1, values["n_octaves"] * layers - 1)
+    return level // layers, level
+
+
+BOOST = {
+    "bgm": 100, "bgm-hard": 101, "bgm-bilinear": 102, "lbgm": 200,
+    "binboost-64": 300, "binboost-128": 301, "binboost-256": 302,
+}  # fmt: skip
+TABLE: dict[str, DescriptorAlgorithm] = {
+    "akaze": DescriptorAlgorithm(
+        "AKAZE", "MLDB bits (or KAZE floats) read from a non-linear scale space", {**MLDB, **LEVELS}, place=_place_akaze
+    ),
+    "beblid": DescriptorAlgorithm(
+        "BEBLID",
+        "Boosted bits; scale_factor 1 suits ORB's sizes, 5 AKAZE's and FAST's, 6.25 KAZE's, 6.75 SIFT's",
+        {**snake(scale_factor=1.0), "n_bits": option(512, choices={512: 100, 256: 101}, keyword="n_bits")},
+    ),
+    "boost": DescriptorAlgorithm(
+        "BoostDesc",
+        "BinBoost bits; scale_factor 0.75 suits ORB's sizes, 5 AKAZE's and FAST's, 6.25 KAZE's, 6.75 SIFT's",
+        {
+            "desc": option("binboost-256", choices=BOOST, keyword="desc"),
+            **snake(use_scale_orientation=True, scale_factor=6.25),
+        },
+    ),
+    "daisy": DescriptorAlgorithm(
+        "DAISY",
+        "DAISY: gradient histograms on rings around the point",
+        {
+            **snake(radius=15.0, q_radius=3, q_theta=8, q_hist=8),
+            "norm": option("none", choices={"none": 100, "partial": 101, "full": 102, "sift": 103}, keyword="norm"),
+            **snake(interpolation=True, use_orientation=False),
+        },
+    ),
+    "freak": DescriptorAlgorithm(
+        "FREAK",
+        "FREAK: bits on a retina-like pattern, which measures its own orientation",
+        camel(orientation_normalized=True, scale_normalized=True, pattern_scale=22.0, n_octaves=4),
+    ),
+    "brisk": DescriptorAlgorithm(
+        "BRISK", "BRISK: bits on a ring pattern, which measures its own orientation", camel(pattern_scale=1.0)
+    ),
+    "kaze": DescriptorAlgorithm(
+        "KAZE", "KAZE: gradient sums read from a non-linear scale space", {**SIZES, **LEVELS}, place=_place_kaze
+    ),
+    "latch": DescriptorAlgorithm(
+        "LATCH",
+        "LATCH: bits from comparing triplets of patches",
+        {**camel(bytes=32, rotation_invariance=True), **snake(half_ssd_size=3, sigma=2.0)},
+    ),
+    "lucid": DescriptorAlgorithm(
+        "LUCID",
+        "LUCID: the order of a patch's pixels; made for colour, so a grey image is given as three equal channels",
+        snake(lucid_kernel=1, blur_kernel=2),
+        colour=True,
+    ),
+    "opencv-brief": DescriptorAlgorithm(
+        "BriefDescriptorExtractor",
+        "BRIEF bits as OpenCV samples them",
+        {"bytes": option(32, choices={16: 16, 32: 32, 64: 64}, keyword="bytes"), **snake(use_orientation=False)},
+    ),
+    "orb": DescriptorAlgorithm(
+        "ORB",
+        "Oriented BRIEF bits read from ORB's pyramid",
+        {
+            **camel(scale_factor=1.2),
+            "n_levels": option(8, keyword="nlevels"),
+            **camel(edge_threshold=31, patch_size=31),
+            **HALF_PIXEL,
+        },
+        place=_place_orb,
+    ),
+    "sift": DescriptorAlgorithm(
+        "SIFT",
+        "SIFT: gradient histograms read from a Gaussian pyramid",
+        {**camel(n_octave_layers=3, sigma=1.6), **snake(enable_precise_upscale=True)},
+        place=_place_sift,
+        anchor=255 | (1 << 8),
+    ),
+    "surf": DescriptorAlgorithm("SURF", "SURF: sums of Haar wavelet responses", SIZES),
+    "teblid": DescriptorAlgorithm(
+        "TEBLID",
+        "Triplet-trained bits; scale_factor 1 suits ORB's sizes, 5 AKAZE's and FAST's, 6.25 KAZE's, 6.75 SIFT's",
+        {**snake(scale_factor=1.0), "n_bits": option(256, choices={256: 102, 512: 103}, keyword="n_bits")},
+    ),
+    "vgg": DescriptorAlgorithm(
+        "VGG",
+        "Learnt floats (DLCO); scale_factor 0.75 suits ORB's sizes, 5 AKAZE's and FAST's, 6.25 KAZE's, 6.75 SIFT's",
+        {
+            "desc": option(120, choices={120: 100, 80: 101, 64: 102, 48: 103}, keyword="desc"),
+            **snake(isigma=1.4, img_normalize=True, use_scale_orientation=True, scale_factor=6.25, dsc_normalize=False),
+        },
+    ),
+}
+
+
+@register_table
+class OpenCVDescriptor(Part, Descriptor):
+    """One descriptor of OpenCV: a row of the table by name, and its parameters."""
+
+    table = TABLE
+
+    def form(self) -> tuple[str, int]:
+        return TABLE[self.name].form(self.parameters)
 
     def describe_features(self, image: Image, features: Features) -> Features:
         """Return the features with descriptors, in the order given.
@@ -128,193 +253,3 @@ class OpenCVDescriptor(Descriptor):
 def _nothing(features: Features) -> Features:
     none = features.take(np.zeros(0, np.int64))
     return replace(none, descriptors=None, index=np.zeros(0, np.int64) if len(features) else None)
-
-
-def _steps(features: Features, size: float, per_octave: float) -> IntArray:
-    """(N,) whole steps from the diameter `size` to the features', `per_octave` of them to a factor of two."""
-    diameter = np.maximum(2.0 * features.scale, 1e-6)
-    return np.rint(per_octave * np.log2(diameter / size)).astype(np.int64)
-
-
-def _place_orb(values: Mapping[str, Any], features: Features, shape: tuple[int, int]) -> tuple[IntArray, None]:
-    per_octave = 1.0 / np.log2(values["scale_factor"])
-    return np.clip(_steps(features, values["patch_size"], per_octave), 0, values["n_levels"] - 1), None
-
-
-def _place_sift(values: Mapping[str, Any], features: Features, shape: tuple[int, int]) -> tuple[IntArray, None]:
-    layers = values["n_octave_layers"]
-    steps = _steps(features, 2.0 * values["sigma"], layers)
-    largest = max(0, int(np.log2(min(shape))) - 2)
-    octave = np.clip((steps - 1) // layers, -1, largest)
-    layer = np.clip(steps - octave * layers, 1, layers)
-    return (octave & 255) | (layer << 8), None
-
-
-def _place_akaze(values: Mapping[str, Any], features: Features, shape: tuple[int, int]) -> tuple[IntArray, IntArray]:
-    octaves = 1
-    while octaves < values["n_octaves"] and shape[0] >> octaves >= 40 and shape[1] >> octaves >= 80:
-        octaves += 1
-    layers = values["n_octave_layers"]
-    level = np.clip(_steps(features, 2.0 * 1.5 * 1.6, layers), 0, octaves * layers - 1)
-    return level // layers, level
-
-
-def _place_kaze(values: Mapping[str, Any], features: Features, shape: tuple[int, int]) -> tuple[IntArray, IntArray]:
-    layers = values["n_octave_layers"]
-    level = np.clip(_steps(features, 2.0 * 1.6, layers), 1, values["n_octaves"] * layers - 1)
-    return level // layers, level
-
-
-DIFFUSIVITY = P("diffusivity", "pm-g2", {"pm-g1": 0, "pm-g2": 1, "weickert": 2, "charbonnier": 3})
-LEVELS = {"n_octaves": P("nOctaves", 4), "n_octave_layers": P("nOctaveLayers", 4), "diffusivity": DIFFUSIVITY}
-BOOST = {
-    "bgm": 100, "bgm-hard": 101, "bgm-bilinear": 102, "lbgm": 200,
-    "binboost-64": 300, "binboost-128": 301, "binboost-256": 302,
-}  # fmt: skip
-TABLE: dict[str, DescriptorAlgorithm] = {
-    "akaze": DescriptorAlgorithm(
-        "AKAZE",
-        "MLDB bits (or KAZE floats) read from a non-linear scale space",
-        {
-            "descriptor_type": P(
-                "descriptor_type", "mldb", {"kaze-upright": 2, "kaze": 3, "mldb-upright": 4, "mldb": 5}
-            ),
-            "descriptor_size": P("descriptor_size", 0),
-            "descriptor_channels": P("descriptor_channels", 3),
-            **LEVELS,
-        },
-        place=_place_akaze,
-    ),
-    "beblid": DescriptorAlgorithm(
-        "BEBLID",
-        "Boosted bits; scale_factor 1 suits ORB's sizes, 5 AKAZE's and FAST's, 6.25 KAZE's, 6.75 SIFT's",
-        {"scale_factor": P("scale_factor", 1.0), "n_bits": P("n_bits", 512, {512: 100, 256: 101})},
-    ),
-    "boost": DescriptorAlgorithm(
-        "BoostDesc",
-        "BinBoost bits; scale_factor 0.75 suits ORB's sizes, 5 AKAZE's and FAST's, 6.25 KAZE's, 6.75 SIFT's",
-        {
-            "desc": P("desc", "binboost-256", BOOST),
-            "use_scale_orientation": P("use_scale_orientation", True),
-            "scale_factor": P("scale_factor", 6.25),
-        },
-    ),
-    "daisy": DescriptorAlgorithm(
-        "DAISY",
-        "DAISY: gradient histograms on rings around the point",
-        {
-            "radius": P("radius", 15.0),
-            "q_radius": P("q_radius", 3),
-            "q_theta": P("q_theta", 8),
-            "q_hist": P("q_hist", 8),
-            "norm": P("norm", "none", {"none": 100, "partial": 101, "full": 102, "sift": 103}),
-            "interpolation": P("interpolation", True),
-            "use_orientation": P("use_orientation", False),
-        },
-    ),
-    "freak": DescriptorAlgorithm(
-        "FREAK",
-        "FREAK: bits on a retina-like pattern, which measures its own orientation",
-        {
-            "orientation_normalized": P("orientationNormalized", True),
-            "scale_normalized": P("scaleNormalized", True),
-            "pattern_scale": P("patternScale", 22.0),
-            "n_octaves": P("nOctaves", 4),
-        },
-    ),
-    "brisk": DescriptorAlgorithm(
-        "BRISK",
-        "BRISK: bits on a ring pattern, which measures its own orientation",
-        {"pattern_scale": P("patternScale", 1.0)},
-    ),
-    "kaze": DescriptorAlgorithm(
-        "KAZE",
-        "KAZE: gradient sums read from a non-linear scale space",
-        {"extended": P("extended", False), "upright": P("upright", False), **LEVELS},
-        place=_place_kaze,
-    ),
-    "latch": DescriptorAlgorithm(
-        "LATCH",
-        "LATCH: bits from comparing triplets of patches",
-        {
-            "bytes": P("bytes", 32),
-            "rotation_invariance": P("rotationInvariance", True),
-            "half_ssd_size": P("half_ssd_size", 3),
-            "sigma": P("sigma", 2.0),
-        },
-    ),
-    "lucid": DescriptorAlgorithm(
-        "LUCID",
-        "LUCID: the order of a patch's pixels; made for colour, so a grey image is given as three equal channels",
-        {"lucid_kernel": P("lucid_kernel", 1), "blur_kernel": P("blur_kernel", 2)},
-        colour=True,
-    ),
-    "opencv-brief": DescriptorAlgorithm(
-        "BriefDescriptorExtractor",
-        "BRIEF bits as OpenCV samples them",
-        {"bytes": P("bytes", 32, {16: 16, 32: 32, 64: 64}), "use_orientation": P("use_orientation", False)},
-    ),
-    "orb": DescriptorAlgorithm(
-        "ORB",
-        "Oriented BRIEF bits read from ORB's pyramid",
-        {
-            "scale_factor": P("scaleFactor", 1.2),
-            "n_levels": P("nlevels", 8),
-            "edge_threshold": P("edgeThreshold", 31),
-            "patch_size": P("patchSize", 31),
-            "half_pixel": P("", True),
-        },
-        place=_place_orb,
-    ),
-    "sift": DescriptorAlgorithm(
-        "SIFT",
-        "SIFT: gradient histograms read from a Gaussian pyramid",
-        {
-            "n_octave_layers": P("nOctaveLayers", 3),
-            "sigma": P("sigma", 1.6),
-            "enable_precise_upscale": P("enable_precise_upscale", True),
-        },
-        place=_place_sift,
-        anchor=255 | (1 << 8),
-    ),
-    "surf": DescriptorAlgorithm(
-        "SURF",
-        "SURF: sums of Haar wavelet responses",
-        {"extended": P("extended", False), "upright": P("upright", False)},
-    ),
-    "teblid": DescriptorAlgorithm(
-        "TEBLID",
-        "Triplet-trained bits; scale_factor 1 suits ORB's sizes, 5 AKAZE's and FAST's, 6.25 KAZE's, 6.75 SIFT's",
-        {"scale_factor": P("scale_factor", 1.0), "n_bits": P("n_bits", 256, {256: 102, 512: 103})},
-    ),
-    "vgg": DescriptorAlgorithm(
-        "VGG",
-        "Learnt floats (DLCO); scale_factor 0.75 suits ORB's sizes, 5 AKAZE's and FAST's, 6.25 KAZE's, 6.75 SIFT's",
-        {
-            "desc": P("desc", 120, {120: 100, 80: 101, 64: 102, 48: 103}),
-            "isigma": P("isigma", 1.4),
-            "img_normalize": P("img_normalize", True),
-            "use_scale_orientation": P("use_scale_orientation", True),
-            "scale_factor": P("scale_factor", 6.25),
-            "dsc_normalize": P("dsc_normalize", False),
-        },
-    ),
-}
-
-
-def _create(name: str, **parameters: Any) -> OpenCVDescriptor:
-    return OpenCVDescriptor(name, parameters)
-
-
-for _name, _row in TABLE.items():
-    _row = replace(_row, parameters=dict(_row.parameters) | NORMALISE)
-    TABLE[_name] = _row
-    register_family(
-        "descriptor",
-        _name,
-        partial(_create, _name),
-        _row.defaults,
-        summary=_row.summary,
-        module=__name__,
-        unavailable=unavailable(_row.creator),
-    )

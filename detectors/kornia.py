@@ -12,85 +12,26 @@ DeDoDe report shifted by up to half a pixel of their pyramid level are put right
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from annotated_types import Ge, Gt
 
 from featreg.interfaces import Detector
-from featreg.interop.kornia import COMMON, KorniaPart, Row, import_kornia
-from featreg.interop.opencv import grey, on_data
+from featreg.interop.family import DESCRIBE, N_FEATURES, WEIGHTS, best_first, option, register_table
+from featreg.interop.kornia import COMMON, KorniaPart, KorniaRow, import_kornia
+from featreg.interop.opencv import MIN_SIDE, grey, on_data
 from featreg.interop.torch_arrays import inference, to_tensor
-from featreg.registry import register_family
 from featreg.runtime.optional import import_torch
 from featreg.types import Features, Image
 from featreg.types.lafs import to_numpy
 
-BUDGET = 5000
-MIN_SIDE = 16
 # Side of the patch in which kornia looks for the direction of a feature in its own pipelines.
 ORIENTATION_PATCH = 19
 # What kornia's pyramids of Key.Net describe: a radius of 22 px on the level of the point.
 KEYNET_RADIUS = 22.0
 PIXELS_PER_CANDIDATE = 4
-
-
-@dataclass(frozen=True)
-class DetectorRow(Row):
-    """A row of the table; `describes`: it returns descriptors with its points."""
-
-    describes: bool = False
-
-
-class KorniaDetector(KorniaPart, Detector):
-    """One detector of kornia: a row of the table by name, and its parameters."""
-
-    @property
-    def row(self) -> DetectorRow:
-        return TABLE[self.name]
-
-    def detect_features(self, image: Image) -> Features:
-        """Return the keypoints of `image`, best first, ties by position; learned ones may come with descriptors.
-
-        Raises
-        ------
-        PluginUnavailableError
-            The trained weights are neither given nor here nor to be had.
-        InputError
-            The file of weights is not that of this network.
-
-        Notes
-        -----
-        No support (a disc of radius `scale`) touches an invalid pixel, and no point lies outside the image.
-        """
-        values = self.parameters
-        network = self.network()
-        picture = grey(image, values["normalise"])
-        if min(image.shape) < MIN_SIDE or not image.mask.any() or picture.min() == picture.max():
-            return Features.empty()
-        with inference(values["threads"]):
-            tensor = to_tensor(image, values["normalise"], values["device"])
-            features = (_described if self.row.describes else self._framed)(network, tensor, values)
-            features = _best(features.take(on_data(features, image)), values["n_features"])
-            if self.row.describes:
-                return features if values["describe"] else replace(features, descriptors=None)
-            return _oriented(features, tensor, values)
-
-    def _framed(self, network: Any, tensor: Any, values: Mapping[str, Any]) -> Features:
-        """Upright frames of every candidate."""
-        wanted = max(values["n_features"], tensor.shape[-1] * tensor.shape[-2] // PIXELS_PER_CANDIDATE)
-        if self.name == "kornia-keynet":
-            network = _with_budget(network, wanted)
-            score, lafs = network.detect(tensor)
-            features = Features.from_lafs(lafs, score)
-            # kornia maps pixel u of a level that is f times smaller to u f, which is (u + 0.5) f - 0.5.
-            factor = features.scale / network.mr_size
-            features = replace(features, xy=features.xy + 0.5 * (factor - 1)[:, None])
-            return replace(features, scale=values["frame"] * factor, level=_octave(factor))
-        score, lafs = network.detect(tensor, wanted)
-        features = Features.from_lafs(lafs, score)
-        return replace(features, level=_octave(features.scale / (values["frame"] * values["init_sigma"])))
 
 
 def _octave(factor: Any) -> Any:
@@ -105,12 +46,6 @@ def _with_budget(network: Any, count: int) -> Any:
     network = copy.copy(network)
     network.num_features = count
     return network
-
-
-def _best(features: Features, count: int) -> Features:
-    """The best `count` features in a fixed order."""
-    x, y = features.xy.T
-    return features.take(np.lexsort((features.scale, x, y, -features.score))[:count])
 
 
 def _oriented(features: Features, tensor: Any, values: Mapping[str, Any]) -> Features:
@@ -179,27 +114,27 @@ def _scale_space(response: str, values: Mapping[str, Any]) -> Any:
     )
 
 
-def _keynet(values: Mapping[str, Any], trained: bool = False) -> Any:
+def _keynet(creator: str, values: Mapping[str, Any], trained: bool = False) -> Any:
     return import_kornia().KeyNetDetector(trained)
 
 
-def _disk(values: Mapping[str, Any], trained: bool = False) -> Any:
+def _disk(creator: str, values: Mapping[str, Any], trained: bool = False) -> Any:
     disk = import_kornia().DISK
     return disk.from_pretrained(values["checkpoint"]) if trained else disk()
 
 
-def _aliked(values: Mapping[str, Any], trained: bool = False) -> Any:
+def _aliked(creator: str, values: Mapping[str, Any], trained: bool = False) -> Any:
     aliked = import_kornia().ALIKED
     settings = {"detection_threshold": values["detection_threshold"], "nms_radius": values["nms_radius"]}
     return (aliked.from_pretrained if trained else aliked)(values["model"], **settings)
 
 
-def _xfeat(values: Mapping[str, Any], trained: bool = False) -> Any:
+def _xfeat(creator: str, values: Mapping[str, Any], trained: bool = False) -> Any:
     xfeat = import_kornia().XFeat
     return (xfeat.from_pretrained if trained else xfeat)(detection_threshold=values["detection_threshold"])
 
 
-def _dedode(values: Mapping[str, Any], trained: bool = False) -> Any:
+def _dedode(creator: str, values: Mapping[str, Any], trained: bool = False) -> Any:
     dedode, torch = import_kornia().DeDoDe, import_torch()
     if trained:
         return dedode.from_pretrained(values["detector"], values["descriptor"], torch.float32)
@@ -215,109 +150,140 @@ def _dedode_files(values: Mapping[str, Any]) -> tuple[str, ...]:
     return f"dedode_{name}.pth", f"{last}.pth"
 
 
+ORIENTATION = option("gradient", choices=("gradient", "none"), meaning="direction of the strongest gradient, or none")
 PYRAMID = {
-    "n_features": BUDGET,
-    "frame": 6.0,
-    "n_levels": 3,
-    "init_sigma": 1.6,
-    "min_size": 32,
-    "double_image": True,
-    "orientation": "gradient",
+    **N_FEATURES,
+    "frame": option(6.0, Gt(0), meaning="radius of the support in units of the detection scale"),
+    "n_levels": option(3, Ge(1)),
+    "init_sigma": option(1.6, Gt(0)),
+    "min_size": option(32, Ge(0)),
+    "double_image": option(True),
+    "orientation": ORIENTATION,
     **COMMON,
 }
-ORIENTATION = {"orientation": ("gradient", "none")}
 # The size that their descriptors see is not in the interface of these networks: a nominal radius in pixels.
-LEARNED = {"n_features": BUDGET, "describe": True, "support": 8.0, "weights": None, **COMMON}
-ALIKED_MODELS = ("aliked-t16", "aliked-n16", "aliked-n16rot", "aliked-n32")
-TABLE: dict[str, DetectorRow] = {
-    "kornia-harris": DetectorRow(
-        "Harris corners in scale space, by kornia",
-        {"k": 0.04, **PYRAMID},
-        partial(_scale_space, "CornerHarris"),
-        ORIENTATION,
+SUPPORT = option(8.0, Gt(0), meaning="nominal radius of the support, px")
+LEARNED = {**N_FEATURES, **DESCRIBE, "support": SUPPORT, "weights": WEIGHTS, **COMMON}
+TABLE: dict[str, KorniaRow] = {
+    "kornia-harris": KorniaRow(
+        "CornerHarris", "Harris corners in scale space, by kornia", {"k": option(0.04, Ge(0)), **PYRAMID}, _scale_space
     ),
-    "kornia-gftt": DetectorRow(
-        "Shi-Tomasi corners in scale space, by kornia", PYRAMID, partial(_scale_space, "CornerGFTT"), ORIENTATION
+    "kornia-gftt": KorniaRow("CornerGFTT", "Shi-Tomasi corners in scale space, by kornia", PYRAMID, _scale_space),
+    "kornia-hessian": KorniaRow(
+        "BlobHessian", "Blobs: maxima of the determinant of the Hessian, by kornia", PYRAMID, _scale_space
     ),
-    "kornia-hessian": DetectorRow(
-        "Blobs: maxima of the determinant of the Hessian, by kornia",
-        PYRAMID,
-        partial(_scale_space, "BlobHessian"),
-        ORIENTATION,
+    "kornia-dog": KorniaRow(
+        "BlobDoG", "Blobs: extrema of the difference of Gaussians, by kornia", PYRAMID, _scale_space
     ),
-    "kornia-dog": DetectorRow(
-        "Blobs: extrema of the difference of Gaussians, by kornia",
-        PYRAMID,
-        partial(_scale_space, "BlobDoG"),
-        ORIENTATION,
-    ),
-    "kornia-keynet": DetectorRow(
+    "kornia-keynet": KorniaRow(
+        "KeyNetDetector",
         "Key.Net: learned corners in a pyramid, by kornia",
-        {"n_features": BUDGET, "frame": KEYNET_RADIUS, "orientation": "gradient", "weights": None, **COMMON},
+        {
+            **N_FEATURES,
+            "frame": replace(PYRAMID["frame"], default=KEYNET_RADIUS),
+            "orientation": ORIENTATION,
+            "weights": WEIGHTS,
+            **COMMON,
+        },
         _keynet,
-        ORIENTATION,
         lambda values: ("keynet_pytorch.pth",),
         "huggingface.co/kornia/keynet",
-        partial(_keynet, trained=True),
     ),
-    "kornia-disk": DetectorRow(
+    "kornia-disk": KorniaRow(
+        "DISK",
         "DISK: learned points with descriptors of length 128, by kornia",
-        {"checkpoint": "depth", "window": 5, "score_threshold": 0.0, **LEARNED},
+        {
+            "checkpoint": option("depth", choices=("depth", "epipolar")),
+            "window": option(5, Ge(1)),
+            "score_threshold": option(0.0, Ge(0)),
+            **LEARNED,
+        },
         _disk,
-        {"checkpoint": ("depth", "epipolar")},
         lambda values: (f"{values['checkpoint']}-save.pth",),
         "huggingface.co/kornia/disk",
-        partial(_disk, trained=True),
-        describes=True,
     ),
-    "kornia-aliked": DetectorRow(
+    "kornia-aliked": KorniaRow(
+        "ALIKED",
         "ALIKED: learned sub-pixel points with descriptors of length 128 (64: aliked-t16), by kornia",
-        {"model": "aliked-n16", "detection_threshold": 0.2, "nms_radius": 2, **LEARNED},
+        {
+            "model": option("aliked-n16", choices=("aliked-t16", "aliked-n16", "aliked-n16rot", "aliked-n32")),
+            "detection_threshold": option(0.2, Ge(0)),
+            "nms_radius": option(2, Ge(1)),
+            **LEARNED,
+        },
         _aliked,
-        {"model": ALIKED_MODELS},
         lambda values: (f"{values['model']}.pth",),
         "huggingface.co/kornia/aliked",
-        partial(_aliked, trained=True),
-        describes=True,
     ),
-    "kornia-xfeat": DetectorRow(
+    "kornia-xfeat": KorniaRow(
+        "XFeat",
         "XFeat: fast learned points with descriptors of length 64, by kornia",
-        {"detection_threshold": 0.05, **LEARNED},
+        {"detection_threshold": option(0.05, Ge(0)), **LEARNED},
         _xfeat,
-        {},
         lambda values: ("xfeat.pt",),
         "github.com/verlab/accelerated_features",
-        partial(_xfeat, trained=True),
-        describes=True,
     ),
-    "kornia-dedode": DetectorRow(
+    "kornia-dedode": KorniaRow(
+        "DeDoDe",
         "DeDoDe: learned points with descriptors of length 256, by kornia",
-        {"detector": "L-C4-v2", "descriptor": "B-upright", "descriptor_weights": None, **LEARNED},
-        _dedode,
         {
-            "detector": ("L-upright", "L-C4", "L-SO2", "L-C4-v2"),
-            "descriptor": ("B-upright", "B-C4", "B-SO2", "G-upright", "G-C4", "G-SO2"),
+            "detector": option("L-C4-v2", choices=("L-upright", "L-C4", "L-SO2", "L-C4-v2")),
+            "descriptor": option("B-upright", choices=("B-upright", "B-C4", "B-SO2", "G-upright", "G-C4", "G-SO2")),
+            "descriptor_weights": WEIGHTS,
+            **LEARNED,
         },
+        _dedode,
         _dedode_files,
         "huggingface.co/kornia/dedode",
-        partial(_dedode, trained=True),
-        describes=True,
     ),
 }
 
 
-def _create(name: str, **parameters: Any) -> KorniaDetector:
-    return KorniaDetector(name, parameters)
+@register_table
+class KorniaDetector(KorniaPart, Detector):
+    """One detector of kornia: a row of the table by name, and its parameters."""
 
+    table = TABLE
+    describes = "describe"
 
-for _name, _row in TABLE.items():
-    register_family(
-        "detector",
-        _name,
-        partial(_create, _name),
-        _row.parameters,
-        summary=_row.summary,
-        module=__name__,
-        unavailable=_row.unavailable,
-        on_demand=_row.on_demand,
-    )
+    def detect_features(self, image: Image) -> Features:
+        """Return the keypoints of `image`, best first, ties by position; learned ones may come with descriptors.
+
+        Raises
+        ------
+        PluginUnavailableError
+            The trained weights are neither given nor here nor to be had.
+        InputError
+            The file of weights is not that of this network.
+
+        Notes
+        -----
+        No support (a disc of radius `scale`) touches an invalid pixel, and no point lies outside the image.
+        """
+        values = self.parameters
+        network = self.network()
+        picture = grey(image, values["normalise"])
+        if min(image.shape) < MIN_SIDE or not image.mask.any() or picture.min() == picture.max():
+            return Features.empty()
+        with inference(values["threads"]):
+            tensor = to_tensor(image, values["normalise"], values["device"])
+            features = (_described if "describe" in values else self._framed)(network, tensor, values)
+            features = best_first(features.take(on_data(features, image)), values["n_features"])
+            if "describe" in values:
+                return features if values["describe"] else replace(features, descriptors=None)
+            return _oriented(features, tensor, values)
+
+    def _framed(self, network: Any, tensor: Any, values: Mapping[str, Any]) -> Features:
+        """Upright frames of every candidate."""
+        wanted = max(values["n_features"], tensor.shape[-1] * tensor.shape[-2] // PIXELS_PER_CANDIDATE)
+        if self.name == "kornia-keynet":
+            network = _with_budget(network, wanted)
+            score, lafs = network.detect(tensor)
+            features = Features.from_lafs(lafs, score)
+            # kornia maps pixel u of a level that is f times smaller to u f, which is (u + 0.5) f - 0.5.
+            factor = features.scale / network.mr_size
+            features = replace(features, xy=features.xy + 0.5 * (factor - 1)[:, None])
+            return replace(features, scale=values["frame"] * factor, level=_octave(factor))
+        score, lafs = network.detect(tensor, wanted)
+        features = Features.from_lafs(lafs, score)
+        return replace(features, level=_octave(features.scale / (values["frame"] * values["init_sigma"])))

@@ -38,6 +38,9 @@ class Plugin(ABC):  # noqa: B024  # its kinds have the abstract methods
 class Detector(Plugin):
     """Finds keypoints in one image."""
 
+    #: Of one that can describe its points at once: its parameter that is set to False where a descriptor is asked for.
+    describes: ClassVar[str | None] = None
+
     @abstractmethod
     def detect_features(self, image: Image) -> Features:
         """Return the keypoints of `image`, best first; empty where there are none.
@@ -54,11 +57,16 @@ class Detector(Plugin):
         """
         return REACH
 
+    def form(self) -> tuple[str, int] | None:
+        """Norm and length (numbers or bytes) of the descriptors that it returns, if it can tell without an image."""
+        return None
+
     def detect(self, array: NDArray[Any], mask: NDArray[Any] | None = None) -> list[Any]:
         """As OpenCV's `Feature2D.detect`: an array and an optional mask (non-zero = valid) in, `cv2.KeyPoint` out."""
-        from featreg.io import as_image
+        from featreg.io.images import image_or_none
 
-        return self.detect_features(as_image(array, mask=None if mask is None else mask != 0)).to_keypoints()
+        image = image_or_none(array, mask)
+        return [] if image is None else self.detect_features(image).to_keypoints()
 
 
 class Descriptor(Plugin):
@@ -72,12 +80,20 @@ class Descriptor(Plugin):
         """How far from a keypoint of this scale pixels may lie that decide on its description, px."""
         return max(REACH, 1.5 * scale)
 
+    def form(self) -> tuple[str, int] | None:
+        """Norm and length of a descriptor (numbers, or bytes of packed bits), if it can tell without an image."""
+        return None
+
     def compute(self, array: NDArray[Any], keypoints: Any) -> tuple[list[Any], NDArray[Any] | None]:
         """As OpenCV's `Feature2D.compute`: an array and `cv2.KeyPoint`s in, the kept ones and descriptors out."""
-        from featreg.io import as_image
+        from featreg.io.images import image_or_none
 
-        described = self.describe_features(as_image(array), Features.from_keypoints(keypoints))
-        return described.to_keypoints(), described.descriptors
+        image = image_or_none(array)
+        given = Features.from_keypoints(keypoints)
+        if image is None or not len(given):
+            return [], None
+        described = self.describe_features(image, given)
+        return described.to_keypoints(), described.descriptors if len(described) else None
 
 
 class Nearest(Plugin):

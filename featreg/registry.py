@@ -52,7 +52,7 @@ class Entry:
     """One registered plugin: how to make it, which parameters it takes, or why it cannot be had.
 
     One that is `on_demand` can be made all the same: a parameter or a download supplies what is missing.
-    `block_parameters` and `compiled` are those of `featreg.interfaces.Plugin`.
+    `block_parameters` and `compiled` are those of `featreg.interfaces.Plugin`, `describes` is that of `Detector`.
     """
 
     kind: str
@@ -66,6 +66,7 @@ class Entry:
     table: Mapping[str, Parameter] | None = None
     block_parameters: Mapping[str, Any] = field(default_factory=dict)
     compiled: bool = True
+    describes: str | None = None
 
     @property
     def declared(self) -> Mapping[str, Parameter]:
@@ -94,14 +95,12 @@ def register(name: str, *, unavailable: str = "") -> Callable[[type[T]], type[T]
     """
 
     def add(cls: type[T]) -> type[T]:
-        kinds = [k for k, base in KINDS.items() if issubclass(cls, base)]
-        if len(kinds) != 1:
-            raise PluginError(f"plugin '{name}' ({cls.__module__}) must extend exactly one of {', '.join(KINDS)}")
-        defaults = {} if kinds[0] == "model" else _defaults(name, cls)
+        kind = kind_of(cls, name)
+        defaults = {} if kind == "model" else _defaults(name, cls)
         if defaults:
             checked(name)(cls)
-        said = {key: getattr(cls, key) for key in ("block_parameters", "compiled") if hasattr(cls, key)}
-        _add(Entry(kinds[0], name, cls, cls.__module__, defaults, _first_line(cls), unavailable, **said))
+        said = {key: getattr(cls, key) for key in ("block_parameters", "compiled", "describes") if hasattr(cls, key)}
+        _add(Entry(kind, name, cls, cls.__module__, defaults, _first_line(cls), unavailable, **said))
         return cls
 
     return add
@@ -119,18 +118,30 @@ def register_family(
     on_demand: bool = False,
     block_parameters: Mapping[str, Any] | None = None,
     compiled: bool = True,
+    describes: str | None = None,
 ) -> None:
     """Add one member of a third-party family from a table: `factory(**parameters)` makes the plugin.
 
     `parameters` are name -> default, or a `Parameter` that says more; the other arguments are those of `Entry`.
+    `featreg.interop.family.register_table` does so for every row of a table.
     """
     table = {
         key: value if isinstance(value, Parameter) else Parameter.of(inspect.Parameter.empty, value)
         for key, value in parameters.items()
     }
     defaults = {key: parameter.default for key, parameter in table.items()}
-    said: dict[str, Any] = {"block_parameters": dict(block_parameters or {}), "compiled": compiled}
+    said: dict[str, Any] = {"compiled": compiled, "describes": describes}
+    said["block_parameters"] = dict(block_parameters or {})
     _add(Entry(kind, name, factory, module, defaults, summary, unavailable, on_demand, table, **said))
+
+
+def kind_of(cls: type[Any], name: str) -> Kind:
+    """Return the kind of a class that is to be registered under `name`, or raise `PluginError` where it has none."""
+    kinds: list[Any] = [kind for kind, base in KINDS.items() if issubclass(cls, base)]
+    if len(kinds) != 1:
+        raise PluginError(f"plugin '{name}' ({cls.__module__}) must extend exactly one of {', '.join(KINDS)}")
+    found: Kind = kinds[0]
+    return found
 
 
 def available(kind: str) -> list[str]:

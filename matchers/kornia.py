@@ -8,37 +8,189 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any
 
 import numpy as np
+from annotated_types import Ge
 
 from featreg.errors import ParameterError
 from featreg.interfaces import Matcher, Nearest
-from featreg.interop.kornia import COMMON, KorniaPart, Row, import_kornia
+from featreg.interop.family import N_FEATURES, WEIGHTS, option, register_table
+from featreg.interop.kornia import COMMON, RUN, KorniaPart, KorniaRow, import_kornia
 from featreg.interop.torch_arrays import as_device, inference, to_tensor
-from featreg.registry import Kind, register_family
 from featreg.runtime.optional import import_torch
 from featreg.runtime.timing import stage
 from featreg.types import BoolArray, Features, FloatArray, Image, IntArray, Matches
 from featreg.types.lafs import to_numpy
 
-BUDGET = 5000
-
 
 @dataclass(frozen=True)
-class NearestRow(Row):
+class NearestRow(KorniaRow):
     """A row of the table; `run`: (network, parameters, descriptors, descriptors, LAFs, LAFs) -> pairs, score."""
 
     run: Callable[..., tuple[Any, Any]] = field(kw_only=True)
 
 
+def _smnn(match: Any, values: Mapping[str, Any], a: Any, b: Any, here: Any, there: Any) -> tuple[Any, Any]:
+    ratio, pairs = match(a, b, values["threshold"])
+    return pairs, 1 - ratio
+
+
+def _fginn(match: Any, values: Mapping[str, Any], a: Any, b: Any, here: Any, there: Any) -> tuple[Any, Any]:
+    ratio, pairs = match(a, b, here, there, values["threshold"], values["spatial_threshold"], values["mutual"])
+    return pairs, 1 - ratio
+
+
+def _adalam(match: Any, values: Mapping[str, Any], a: Any, b: Any, here: Any, there: Any) -> tuple[Any, Any]:
+    config = {key: values[key] for key in ADALAM}
+    for key in ("orientation_difference_threshold", "scale_rate_threshold"):
+        config[key] = config[key] or None  # kornia switches a test off by None
+    # The images' sizes set the radius of a neighbourhood; those of the point sets stand for them.
+    quality, pairs = match(a, b, here, there, config, _extent(here), _extent(there))
+    return pairs, -quality.clamp_min(1e-12).log10()
+
+
+def _extent(frames: Any) -> tuple[float, float]:
+    width, height = np.maximum(np.ptp(to_numpy(frames)[0, :, :, 2], axis=0), 1.0)
+    return float(height), float(width)
+
+
+def _lightglue(network: Any, values: Mapping[str, Any], a: Any, b: Any, here: Any, there: Any) -> tuple[Any, Any]:
+    length = network.conf.input_dim
+    if a.shape[1] != length:
+        raise ParameterError(
+            f"kornia-lightglue with features='{values['features']}' needs descriptors of length {length}, "
+            f"got {a.shape[1]}: give the features that these weights were trained on"
+        )
+    sides = [_lightglue_side(table, frames, values["features"]) for table, frames in ((a, here), (b, there))]
+    found = network({"image0": sides[0], "image1": sides[1]})
+    return found["matches"][0], found["scores"][0]
+
+
+def _lightglue_side(table: Any, frames: Any, kind: str) -> dict[str, Any]:
+    """What LightGlue is told of one image; the size of which is not known, so that of the point set stands for it.
+
+    Its SIFT weights were trained on COLMAP's keypoints: the detection scale, a sixth of kornia's, and clockwise angles.
+    """
+    torch = import_torch()
+    xy = frames[0, :, :, 2]
+    scale = torch.sqrt(torch.abs(torch.linalg.det(frames[0, :, :, :2])))
+    angle = torch.atan2(frames[0, :, 0, 1], frames[0, :, 0, 0])
+    sift = kind == "sift"
+    return {
+        "keypoints": xy[None],
+        "descriptors": table[None],
+        "scales": (scale / 6 if sift else scale)[None],
+        "oris": (-angle if sift else angle % (2 * np.pi))[None],
+        "lafs": frames,
+        "image_size": torch.clamp(xy.max(dim=0).values, min=1.0)[None],
+    }
+
+
+def _build_lightglue(creator: str, values: Mapping[str, Any], trained: bool = False) -> Any:
+    kind = import_kornia().LightGlue
+    if trained:
+        return kind(values["features"], filter_threshold=values["filter_threshold"])
+    own = {"filter_threshold": values["filter_threshold"], **kind.features[values["features"]], "weights": None}
+    return kind(None, **own)
+
+
+def _lightglue_files(values: Mapping[str, Any]) -> tuple[str, ...]:
+    kind = values["features"].replace("dog_affnet_hardnet", "doghardnet")
+    if kind in ("keynet_affnet_hardnet", "dedodeb", "dedodeg"):
+        return (f"{kind}_lightglue.pth",)
+    stem = "doghardnet" if kind == "doghardnet" else f"{kind}_lightglue"
+    return (f"{stem}_v0-1_arxiv-pth",)
+
+
+def _build_loftr(creator: str, values: Mapping[str, Any], trained: bool = False) -> Any:
+    import copy
+
+    from kornia.feature.loftr.loftr import default_cfg
+
+    config: Any = copy.deepcopy(default_cfg)
+    config["match_coarse"]["thr"] = values["threshold"]
+    config["coarse"]["temp_bug_fix"] = values["checkpoint"] == "indoor_new"
+    return import_kornia().LoFTR(values["checkpoint"] if trained else None, config)
+
+
+LOFTR_FILES = {"outdoor": "loftr_outdoor.ckpt", "indoor": "loftr_indoor.ckpt", "indoor_new": "loftr_indoor_ds_new.ckpt"}
+SWITCHED = "0 switches the test off"
+ADALAM = {
+    "area_ratio": option(100, Ge(0)),
+    "search_expansion": option(4, Ge(0)),
+    "ransac_iters": option(128, Ge(0)),
+    "min_inliers": option(6, Ge(0)),
+    "min_confidence": option(200, Ge(0)),
+    "orientation_difference_threshold": option(30.0, Ge(0), meaning=f"of the change of direction, degrees; {SWITCHED}"),
+    "scale_rate_threshold": option(1.5, Ge(0), meaning=f"of the change of size; {SWITCHED}"),
+    "detected_scale_rate_threshold": option(5.0, Ge(0)),
+    "refit": option(True),
+    "force_seed_mnn": option(True),
+}
+LIGHTGLUE = (
+    "aliked", "dedodeb", "dedodeg", "disk", "dog_affnet_hardnet", "doghardnet", "keynet_affnet_hardnet", "sift",
+    "xfeat",
+)  # fmt: skip
+
+TABLE: dict[str, NearestRow] = {
+    "kornia-smnn": NearestRow(
+        "match_smnn",
+        "Mutual nearest neighbours that pass the ratio test both ways, by kornia",
+        {"threshold": option(0.95, Ge(0)), **RUN},
+        run=_smnn,
+    ),
+    "kornia-fginn": NearestRow(
+        "match_fginn",
+        "Nearest neighbours that pass the ratio test against the next one elsewhere, by kornia",
+        {"threshold": option(0.85, Ge(0)), "spatial_threshold": option(10.0, Ge(0)), "mutual": option(True), **RUN},
+        run=_fginn,
+    ),
+    "kornia-adalam": NearestRow(
+        "match_adalam",
+        "AdaLAM: nearest neighbours that agree with a local affine map, by kornia",
+        {**ADALAM, **RUN},
+        run=_adalam,
+    ),
+    "kornia-lightglue": NearestRow(
+        "LightGlue",
+        "LightGlue: learned matching of the features named, by kornia",
+        {
+            "features": option("disk", choices=LIGHTGLUE),
+            "filter_threshold": option(0.1, Ge(0)),
+            "weights": WEIGHTS,
+            **RUN,
+        },
+        _build_lightglue,
+        _lightglue_files,
+        "huggingface.co/kornia/lightglue",
+        run=_lightglue,
+    ),
+}
+MATCHERS: dict[str, KorniaRow] = {
+    "kornia-loftr": KorniaRow(
+        "LoFTR",
+        "LoFTR: learned dense matching without keypoints, by kornia",
+        {
+            **N_FEATURES,
+            "checkpoint": option("outdoor", choices=tuple(LOFTR_FILES)),
+            "threshold": option(0.2, Ge(0)),
+            "max_side": option(840, Ge(1), meaning="longer images are reduced to it, px"),
+            "weights": WEIGHTS,
+            **COMMON,
+        },
+        _build_loftr,
+        lambda values: (LOFTR_FILES[values["checkpoint"]],),
+        "huggingface.co/kornia/loftr",
+    )
+}
+
+
+@register_table
 class KorniaNearest(KorniaPart, Nearest):
     """One way of kornia to pair descriptors: a row of the table by name, and its parameters."""
 
-    @property
-    def row(self) -> NearestRow:
-        return TABLE[self.name]
+    table = TABLE
 
     def match_features(self, reference: Features, secondary: Features) -> tuple[IntArray, FloatArray]:
         """Return ((M, 2) rows of reference and secondary, (M,) score, higher is better).
@@ -68,18 +220,17 @@ class KorniaNearest(KorniaPart, Nearest):
         with inference(self.parameters["threads"]):
             a, b = (torch.from_numpy(table).to(device) for table in tables)
             frames = [features.to_lafs().to(device, torch.float32) for features in (reference, secondary)]
-            pairs, score = self.row.run(network, self.parameters, a, b, *frames)
+            pairs, score = TABLE[self.name].run(network, self.parameters, a, b, *frames)
         rows = to_numpy(pairs, np.int64).reshape(-1, 2)
         order = np.lexsort((rows[:, 1], rows[:, 0]))
         return rows[order], to_numpy(score).reshape(-1)[order]
 
 
+@register_table
 class KorniaMatcher(KorniaPart, Matcher):
     """One matcher of kornia that needs no keypoints: a row of the table by name, and its parameters."""
 
-    @property
-    def row(self) -> Row:
-        return MATCHERS[self.name]
+    table = MATCHERS
 
     def match(self, reference: Image, secondary: Image) -> Matches:
         """Return the tie points that LoFTR finds, best first, without those on invalid pixels.
@@ -141,186 +292,3 @@ def _on_data(xy: FloatArray, image: Image) -> BoolArray:
     inside = ((at >= 0) & (at < np.array(image.shape[::-1]))).all(axis=1)
     at = np.clip(at, 0, np.array(image.shape[::-1]) - 1)
     return np.asarray(inside & image.mask[at[:, 1], at[:, 0]])
-
-
-def _kornia(name: str, values: Mapping[str, Any]) -> Any:
-    return getattr(import_kornia(), name)
-
-
-def _smnn(match: Any, values: Mapping[str, Any], a: Any, b: Any, here: Any, there: Any) -> tuple[Any, Any]:
-    ratio, pairs = match(a, b, values["threshold"])
-    return pairs, 1 - ratio
-
-
-def _fginn(match: Any, values: Mapping[str, Any], a: Any, b: Any, here: Any, there: Any) -> tuple[Any, Any]:
-    ratio, pairs = match(a, b, here, there, values["threshold"], values["spatial_threshold"], values["mutual"])
-    return pairs, 1 - ratio
-
-
-def _adalam(match: Any, values: Mapping[str, Any], a: Any, b: Any, here: Any, there: Any) -> tuple[Any, Any]:
-    config = {key: values[key] for key in ADALAM}
-    for key in ("orientation_difference_threshold", "scale_rate_threshold"):
-        config[key] = config[key] or None  # kornia switches a test off by None
-    # The images' sizes set the radius of a neighbourhood; those of the point sets stand for them.
-    quality, pairs = match(a, b, here, there, config, _extent(here), _extent(there))
-    return pairs, -quality.clamp_min(1e-12).log10()
-
-
-def _extent(frames: Any) -> tuple[float, float]:
-    width, height = np.maximum(np.ptp(to_numpy(frames)[0, :, :, 2], axis=0), 1.0)
-    return float(height), float(width)
-
-
-def _lightglue(network: Any, values: Mapping[str, Any], a: Any, b: Any, here: Any, there: Any) -> tuple[Any, Any]:
-    length = network.conf.input_dim
-    if a.shape[1] != length:
-        raise ParameterError(
-            f"kornia-lightglue with features='{values['features']}' needs descriptors of length {length}, "
-            f"got {a.shape[1]}: give the features that these weights were trained on"
-        )
-    sides = [_lightglue_side(table, frames, values["features"]) for table, frames in ((a, here), (b, there))]
-    found = network({"image0": sides[0], "image1": sides[1]})
-    return found["matches"][0], found["scores"][0]
-
-
-def _lightglue_side(table: Any, frames: Any, kind: str) -> dict[str, Any]:
-    """What LightGlue is told of one image; the size of which is not known, so that of the point set stands for it.
-
-    Its SIFT weights were trained on COLMAP's keypoints: the detection scale, a sixth of kornia's, and clockwise angles.
-    """
-    torch = import_torch()
-    xy = frames[0, :, :, 2]
-    scale = torch.sqrt(torch.abs(torch.linalg.det(frames[0, :, :, :2])))
-    angle = torch.atan2(frames[0, :, 0, 1], frames[0, :, 0, 0])
-    sift = kind == "sift"
-    return {
-        "keypoints": xy[None],
-        "descriptors": table[None],
-        "scales": (scale / 6 if sift else scale)[None],
-        "oris": (-angle if sift else angle % (2 * np.pi))[None],
-        "lafs": frames,
-        "image_size": torch.clamp(xy.max(dim=0).values, min=1.0)[None],
-    }
-
-
-def _build_lightglue(values: Mapping[str, Any], trained: bool = False) -> Any:
-    kind = import_kornia().LightGlue
-    if trained:
-        return kind(values["features"], filter_threshold=values["filter_threshold"])
-    own = {"filter_threshold": values["filter_threshold"], **kind.features[values["features"]], "weights": None}
-    return kind(None, **own)
-
-
-def _lightglue_files(values: Mapping[str, Any]) -> tuple[str, ...]:
-    kind = values["features"].replace("dog_affnet_hardnet", "doghardnet")
-    if kind in ("keynet_affnet_hardnet", "dedodeb", "dedodeg"):
-        return (f"{kind}_lightglue.pth",)
-    stem = "doghardnet" if kind == "doghardnet" else f"{kind}_lightglue"
-    return (f"{stem}_v0-1_arxiv-pth",)
-
-
-def _build_loftr(values: Mapping[str, Any], trained: bool = False) -> Any:
-    import copy
-
-    from kornia.feature.loftr.loftr import default_cfg
-
-    config: Any = copy.deepcopy(default_cfg)
-    config["match_coarse"]["thr"] = values["threshold"]
-    config["coarse"]["temp_bug_fix"] = values["checkpoint"] == "indoor_new"
-    return import_kornia().LoFTR(values["checkpoint"] if trained else None, config)
-
-
-LOFTR_FILES = {"outdoor": "loftr_outdoor.ckpt", "indoor": "loftr_indoor.ckpt", "indoor_new": "loftr_indoor_ds_new.ckpt"}
-PLAIN = {key: COMMON[key] for key in ("device", "threads")}
-# Off where 0: the two tests on the change of direction and size.
-ADALAM: Mapping[str, Any] = {
-    "area_ratio": 100,
-    "search_expansion": 4,
-    "ransac_iters": 128,
-    "min_inliers": 6,
-    "min_confidence": 200,
-    "orientation_difference_threshold": 30.0,
-    "scale_rate_threshold": 1.5,
-    "detected_scale_rate_threshold": 5.0,
-    "refit": True,
-    "force_seed_mnn": True,
-}
-LIGHTGLUE = (
-    "aliked", "dedodeb", "dedodeg", "disk", "dog_affnet_hardnet", "doghardnet", "keynet_affnet_hardnet", "sift",
-    "xfeat",
-)  # fmt: skip
-
-TABLE: dict[str, NearestRow] = {
-    "kornia-smnn": NearestRow(
-        "Mutual nearest neighbours that pass the ratio test both ways, by kornia",
-        {"threshold": 0.95, **PLAIN},
-        partial(_kornia, "match_smnn"),
-        run=_smnn,
-    ),
-    "kornia-fginn": NearestRow(
-        "Nearest neighbours that pass the ratio test against the next one elsewhere, by kornia",
-        {"threshold": 0.85, "spatial_threshold": 10.0, "mutual": True, **PLAIN},
-        partial(_kornia, "match_fginn"),
-        run=_fginn,
-    ),
-    "kornia-adalam": NearestRow(
-        "AdaLAM: nearest neighbours that agree with a local affine map, by kornia",
-        {**ADALAM, **PLAIN},
-        partial(_kornia, "match_adalam"),
-        run=_adalam,
-    ),
-    "kornia-lightglue": NearestRow(
-        "LightGlue: learned matching of the features named, by kornia",
-        {"features": "disk", "filter_threshold": 0.1, "weights": None, **PLAIN},
-        _build_lightglue,
-        {"features": LIGHTGLUE},
-        _lightglue_files,
-        "huggingface.co/kornia/lightglue",
-        partial(_build_lightglue, trained=True),
-        run=_lightglue,
-    ),
-}
-MATCHERS: dict[str, Row] = {
-    "kornia-loftr": Row(
-        "LoFTR: learned dense matching without keypoints, by kornia",
-        {
-            "n_features": BUDGET,
-            "checkpoint": "outdoor",
-            "threshold": 0.2,
-            "max_side": 840,
-            "weights": None,
-            **COMMON,
-        },
-        _build_loftr,
-        {"checkpoint": tuple(LOFTR_FILES)},
-        lambda values: (LOFTR_FILES[values["checkpoint"]],),
-        "huggingface.co/kornia/loftr",
-        partial(_build_loftr, trained=True),
-    ),
-}
-
-
-def _create_nearest(name: str, **parameters: Any) -> KorniaNearest:
-    return KorniaNearest(name, parameters)
-
-
-def _create_matcher(name: str, **parameters: Any) -> KorniaMatcher:
-    return KorniaMatcher(name, parameters)
-
-
-FAMILIES: tuple[tuple[Kind, Callable[..., Any], Mapping[str, Row]], ...] = (
-    ("nearest", _create_nearest, TABLE),
-    ("matcher", _create_matcher, MATCHERS),
-)
-for _kind, _create, _rows in FAMILIES:
-    for _name, _row in _rows.items():
-        register_family(
-            _kind,
-            _name,
-            partial(_create, _name),
-            _row.parameters,
-            summary=_row.summary,
-            module=__name__,
-            unavailable=_row.unavailable,
-            on_demand=_row.on_demand,
-        )

@@ -20,7 +20,7 @@ from featreg.registry import register
 from featreg.runtime.parameters import Count, Positive, Share
 from featreg.runtime.timing import stage
 from featreg.sar.pyramid import to_base
-from featreg.types import Image, Matches
+from featreg.types import Image, Matches, read_only
 
 logger = logging.getLogger(__name__)
 
@@ -194,4 +194,4 @@ def _reduced_to(image: Image, height: int, width: int) -> Image:
         share = cv2.resize(image.mask.view(np.uint8) * np.uint8(255), size, interpolation=cv2.INTER_AREA)
         mask = np.asarray(share >= WHOLE)
         pixels = np.where(mask, pixels, np.float32(0))
-    return Image(pixels, mask, source_dtype=image.source_dtype)
+    return Image(read_only(pixels), read_only(mask), source_dtype=image.source_dtype)

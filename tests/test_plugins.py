@@ -9,12 +9,14 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import featreg
 from featreg import registry
-from featreg.errors import FeatregError, ParameterError
+from featreg.errors import FeatregError, InputError, ParameterError
 from featreg.geometry import Affine
 from featreg.interfaces import FilterContext
 from featreg.io import as_image
@@ -411,3 +413,63 @@ def test_a_score_of_no_meaning_does_not_matter(name: str) -> None:
     equal = Matches(matches.reference_xy, matches.secondary_xy, np.ones(len(matches)))
     kept = registry.create("filter", name).keep(equal, context())
     assert kept[good].mean() > 0.8
+
+
+# OpenCV's manners
+
+
+def tiles() -> dict[str, tuple[NDArray[Any], NDArray[np.uint8] | None]]:
+    """Arrays on which there is nothing to find, and their masks."""
+    noise = np.random.default_rng(0).gamma(4, 0.25, (64, 64)).astype(np.float32)
+    return {
+        "blank": (np.full((64, 64), 3, np.float32), None),
+        "all masked": (noise, np.zeros((64, 64), np.uint8)),
+        "10 x 10": (noise[:10, :10], None),
+        "1 x 1": (noise[:1, :1], np.full((1, 1), 255, np.uint8)),
+        "no data": (np.full((64, 64), np.nan, np.float32), None),
+    }
+
+
+@detectors
+def test_detecting_on_nothing_finds_nothing(name: str) -> None:
+    made = featreg.extractor(name)
+    for what, (array, mask) in tiles().items():
+        assert made.detect(array, mask) == [], what
+        assert made.detector.detect(array, mask) == [], what
+        assert featreg.extractor(name, "brief").detectAndCompute(array, mask) == ([], None), what
+
+
+@descriptors
+def test_describing_on_nothing_gives_nothing(name: str) -> None:
+    made = featreg.extractor("fast", name)
+    points = keypoints((120, 120), 5).to_keypoints()
+    for what, (array, mask) in tiles().items():
+        assert made.detectAndCompute(array, mask) == ([], None), what
+        if what != "all masked":  # OpenCV's compute knows no mask
+            assert made.compute(array, points) == ([], None), what
+    assert made.compute(np.random.default_rng(0).gamma(4, 0.25, (64, 64)), []) == ([], None)
+
+
+@detectors
+def test_an_array_of_no_image_and_a_mask_of_another_size_are_refused(name: str) -> None:
+    made = featreg.extractor(name)
+    noise = np.random.default_rng(0).gamma(4, 0.25, (64, 64))
+    for array, mask in (
+        (np.stack([noise] * 3, axis=2), None),
+        (np.full((10, 10, 3), 7, np.uint8), None),
+        (noise, np.ones((64, 63), np.uint8)),
+        (noise[:10, :10], np.ones((64, 64), np.uint8)),
+        (np.full((64, 64), "a"), None),
+    ):
+        with pytest.raises(InputError):
+            made.detect(array, mask)
+
+
+@descriptors
+def test_the_form_of_descriptors_is_known_before_they_are_made(name: str, sar_texture: Texture) -> None:
+    made = featreg.extractor("fast", name)
+    form = (made.defaultNorm(), made.descriptorSize(), made.descriptorType())
+    found = describe(name, as_image(sar_texture(150, 160)), keypoints((150, 160)))
+    assert found.descriptors is not None
+    constants = (cv2.NORM_HAMMING, cv2.CV_8U) if found.norm == "hamming" else (cv2.NORM_L2, cv2.CV_32F)
+    assert form == (constants[0], found.descriptors.shape[1], constants[1])

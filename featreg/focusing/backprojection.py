@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from featreg.errors import InputError, ParameterError, PluginUnavailableError
 from featreg.runtime.parameters import Count, checked
 from featreg.runtime.threads import worker_count
-from featreg.types import FloatArray, Image
+from featreg.types import FloatArray, Image, read_only
 
 if TYPE_CHECKING:
     from featreg.focusing.phase_history import PhaseHistory
@@ -151,7 +151,7 @@ def back_project(
     pixels = _by_torch(plan, device or "cpu") if backend == "torch" else _by_numba(plan, workers)
     if not np.isfinite(pixels.sum()):
         raise InputError(f"{history.name}: the image is not finite; the samples overflow float32")
-    return Image(pixels, np.ones(pixels.shape, np.bool_), None, history.name, "complex64", "complex")
+    return Image(read_only(pixels), np.ones(pixels.shape, np.bool_), None, history.name, "complex64", "complex")
 
 
 def carrier(history: PhaseHistory, grid: GroundGrid | None = None) -> C64:

@@ -30,7 +30,7 @@ from featreg.io import SMALLEST, ImageLike, as_image
 from featreg.registry import create, entry
 from featreg.runtime.parameters import Count, Share, checked
 from featreg.runtime.threads import worker_count
-from featreg.types import BoolArray, FloatArray, Gate, Image, IntArray, verdict
+from featreg.types import BoolArray, FloatArray, Gate, Image, IntArray, read_only, verdict
 
 C64 = NDArray[np.complex64]
 Progress = Callable[[int, int], None]
@@ -161,7 +161,7 @@ def focus(
     restored = result.image.copy() if result.image is pixels else result.image
     restored.flags.writeable = True
     restored /= factor
-    return replace(result, image=restored)
+    return replace(result, image=read_only(restored))
 
 
 def _whole(pixels: NDArray[Any], energy: FloatArray, before: float, *, settings: _Settings) -> FocusResult:
@@ -173,7 +173,7 @@ def _whole(pixels: NDArray[Any], energy: FloatArray, before: float, *, settings:
     after = image_entropy(out, workers=settings.workers)
     gates = _gates(len(chosen), len(band.order), check, (before, after))
     return FocusResult(
-        out, phase, found.entropy, found.iterations, chosen, *verdict(gates, _reason),
+        read_only(out), phase, found.entropy, found.iterations, chosen, *verdict(gates, _reason),
         check.deviation, (before, after), gates, settings.method, (0, pixels.shape[1 - settings.axis]),
     )  # fmt: skip
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import InputError, ParameterError, PluginUnavailableError
-from featreg.types import FloatArray, column, read_only
+from featreg.types import FloatArray, column, kept, read_only
 
 #: How far frequencies may be from evenly spaced, as a share of their spacing; float32 files round by 0.0004.
 UNEVEN = 0.01
@@ -62,10 +62,11 @@ class PhaseHistory:
             raise InputError(
                 f"{self.name}: samples must be complex (pulses, frequencies), got {samples.dtype} {samples.shape}"
             )
-        samples = samples.astype(np.complex64, copy=False).view()
+        samples = samples.astype(np.complex64, copy=False)
         if not np.isfinite(samples.sum(dtype=np.complex128)):
             raise InputError(f"{self.name}: samples must be finite, got NaN or infinite ones")
-        put(self, "samples", read_only(samples))
+        own = not np.may_share_memory(samples, self.samples)
+        put(self, "samples", read_only(samples) if own else kept(samples))
         pulses, count = samples.shape
         put(self, "frequencies", self._column("frequencies", count))
         if count < 2 or self.frequencies[0] <= 0 or not self._even():
@@ -391,7 +392,7 @@ def _read_cphd(path: Path, polarisation: str | None) -> PhaseHistory:
     antenna = (np.asarray(pvp["TxPos"], np.float64) + np.asarray(pvp["RcvPos"], np.float64)) / 2
     positions = (antenna - centre) @ axes.T
     return PhaseHistory(
-        samples.astype(np.complex64),
+        read_only(samples.astype(np.complex64)),
         start[0] + step[0] * np.arange(signal.shape[1]),
         positions,
         np.linalg.norm(positions, axis=1),

@@ -14,7 +14,7 @@ from featreg.focusing.phase_error import Band
 from featreg.focusing.pulse_spectra import pulse_spectra
 from featreg.focusing.range_cells import cell_energies
 from featreg.focusing.result import FocusResult
-from featreg.types import BoolArray, FloatArray, Gate, verdict
+from featreg.types import BoolArray, FloatArray, Gate, read_only, verdict
 
 Whole = Callable[[NDArray[Any], FloatArray, float], FocusResult]
 
@@ -91,7 +91,7 @@ def focus_blocks(
     cells = [result.cells + edges[i] for i, result in zip(used, results, strict=True) if result is not None]
     known = [result for result in results if result is not None]
     return FocusResult(
-        out, phase, _mean_entropy(known), max(result.iterations for result in known), np.concatenate(cells),
+        read_only(out), phase, _mean_entropy(known), max(result.iterations for result in known), np.concatenate(cells),
         *verdict(gates, reason), max(result.deviation for result in known), (before, after), gates,
         known[0].method, tuple(edges),
     )  # fmt: skip

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from featreg.types import FloatArray, Gate, IntArray, read_only
+from featreg.types import FloatArray, Gate, IntArray, kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,5 +47,5 @@ class FocusResult:
     block_edges: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
-        for array in (self.image, self.phase, self.entropy, self.cells):
-            read_only(array)
+        for name in ("image", "phase", "entropy", "cells"):
+            object.__setattr__(self, name, kept(getattr(self, name)))

@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from featreg import registry
 from featreg.errors import ParameterError, suggest
 from featreg.interfaces import Descriptor, Detector
-from featreg.types import Features
+from featreg.io.images import as_image, image_or_none
+from featreg.types import Features, Image
+
+#: OpenCV's NORM_... and CV_... of our norms: NORM_L2 and CV_32F, NORM_HAMMING and CV_8U.
+NORMS = {"l2": (4, 5), "hamming": (6, 0)}
+#: Side of the image of noise, px: room for the largest support of a point of scale 8.
+PROBE = 256
 
 
 def extractor(detector: str | Detector, descriptor: str | Descriptor | None = None, **parameters: Any) -> Extractor:
@@ -43,14 +51,13 @@ def extractor(detector: str | Detector, descriptor: str | Descriptor | None = No
     >>> len(keypoints) == len(descriptors)
     True
     """
-    known = {
-        role: set(registry.entry(role, part).parameters) if isinstance(part, str) else set()
-        for role, part in (("detector", detector), ("descriptor", descriptor))
-    }
+    parts = {"detector": detector, "descriptor": descriptor}
+    entries = {role: registry.entry(role, part) for role, part in parts.items() if isinstance(part, str)}
+    known = {role: set(entry.parameters) for role, entry in entries.items()}
     given: dict[str, dict[str, Any]] = {"detector": {}, "descriptor": {}}
     # A descriptor was asked for, so a detector that could describe its own points must not.
-    if descriptor is not None and "describe" in known["detector"]:
-        given["detector"]["describe"] = False
+    if descriptor is not None and "detector" in entries and entries["detector"].describes:
+        given["detector"][entries["detector"].describes] = False
     for key, value in parameters.items():
         role, short = _owner(key, known)
         given[role][short] = value
@@ -92,16 +99,44 @@ class Extractor:
         self, array: NDArray[Any], mask: NDArray[Any] | None = None
     ) -> tuple[list[Any], NDArray[Any] | None]:
         """Return (keypoints, descriptors); positions stay in float64 between the two steps."""
-        from featreg.io import as_image
+        image = image_or_none(array, mask)
+        if image is None:
+            return [], None
+        features = self._described(image, self.detector.detect_features(image))
+        return features.to_keypoints(), features.descriptors if len(features) else None
 
-        image = as_image(array, mask=None if mask is None else mask != 0)
-        features: Features = self.detector.detect_features(image)
-        if features.descriptors is None:
-            if self.descriptor is None:
-                name = type(self.detector).__name__
-                raise ParameterError(f"detector {name} gives no descriptors: choose one, as in descriptor='brief'")
-            features = self.descriptor.describe_features(image, features)
-        return features.to_keypoints(), features.descriptors
+    def defaultNorm(self) -> int:  # noqa: N802
+        """Return the norm by which descriptors are compared: ``cv2.NORM_HAMMING`` or ``cv2.NORM_L2``."""
+        return NORMS[self._form[0]][0]
+
+    def descriptorSize(self) -> int:  # noqa: N802
+        """Return the length of a descriptor: bytes of packed bits, or numbers."""
+        return self._form[1]
+
+    def descriptorType(self) -> int:  # noqa: N802
+        """Return the type of descriptors: ``cv2.CV_8U`` or ``cv2.CV_32F``."""
+        return NORMS[self._form[0]][1]
+
+    @cached_property
+    def _form(self) -> tuple[str, int]:
+        """Norm and length of the descriptors: told by the part that makes them, else seen on an image of noise."""
+        told = self.detector.form() or (self.descriptor and self.descriptor.form())
+        if told:
+            return told
+        image = as_image(np.random.default_rng(0).gamma(4.0, size=(PROBE, PROBE)))
+        points = Features(np.full((1, 2), PROBE / 2), np.full(1, 8.0), np.zeros(1), np.ones(1), np.zeros(1, np.int64))
+        seen = self._described(image, points if self.descriptor else self.detector.detect_features(image))
+        if seen.descriptors is None:
+            raise ParameterError(f"{type(self.descriptor or self.detector).__name__} describes nothing on a test image")
+        return seen.norm, seen.descriptors.shape[1]
+
+    def _described(self, image: Image, features: Features) -> Features:
+        if features.descriptors is not None or not len(features):
+            return features
+        if self.descriptor is None:
+            name = type(self.detector).__name__
+            raise ParameterError(f"detector {name} gives no descriptors: choose one, as in descriptor='brief'")
+        return self.descriptor.describe_features(image, features)
 
 
 def _owner(key: str, known: dict[str, set[str]]) -> tuple[str, str]:

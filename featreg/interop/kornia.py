@@ -1,26 +1,27 @@
 """The one place that knows what kornia needs: its version, the weights of its networks, and how its parts are listed.
 
-A plugin of kornia is a row of the table in its room: `Row` holds its parameters and how to build it, `KorniaPart` is
-what every plugin made from a row has. A network is built once for its parameters and shared, since it keeps no results.
+A plugin of kornia is a row of the table in its room: `KorniaRow` says how it is built and where its weights come from,
+`KorniaPart` is what every plugin made from a row has.
 """
 
 from __future__ import annotations
 
 import socket
 import threading
-from abc import abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache, lru_cache
 from importlib import metadata
 from importlib.util import find_spec
 from os import environ
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
-from featreg.errors import InputError, ParameterError, PluginUnavailableError, suggest
+from annotated_types import Ge
+
+from featreg.errors import InputError, ParameterError, PluginUnavailableError
+from featreg.interop.family import NORMALISE, Part, Row, option
 from featreg.runtime.optional import TORCH_CURE, import_torch
-from featreg.sar.normalise import METHODS
 
 # Every plugin asks, and a distribution's metadata takes a millisecond to read.
 version = cache(metadata.version)
@@ -31,56 +32,45 @@ PATIENCE = 3.0
 # Under these keys the authors' files hold the tensors.
 WRAPPERS = ("state_dict", "extractor", "model", "net")
 
-# Parameters that count something, and those that measure something: neither can be 0.
-COUNTS = (
-    "n_features",
-    "n_levels",
-    "patch_size",
-    "num_ang_bins",
-    "num_spatial_bins",
-    "window",
-    "nms_radius",
-    "max_side",
-)
-POSITIVE = ("init_sigma", "frame", "magnification", "support", "clipval")
-COMMON: Mapping[str, Any] = {"normalise": "auto", "device": "cpu", "threads": 1}
+#: What every part, and every network, is given beside its own parameters.
+RUN = {
+    "device": option("cpu", meaning="where networks run: 'cpu', 'cuda', 'cuda:1', 'mps' or 'auto'"),
+    "threads": option(1, Ge(0), meaning="of the processor; 0 leaves it to torch"),
+}
+COMMON = {**NORMALISE, **RUN}
+
+
+def plain(creator: str, values: Mapping[str, Any]) -> Any:
+    """Return what kornia has under a name, as it is."""
+    return getattr(import_kornia(), creator)
 
 
 @dataclass(frozen=True)
-class Row:
+class KorniaRow(Row):
     """One algorithm of kornia.
 
     Parameters
     ----------
-    summary : one line
-    parameters : every parameter and its default
-    build : parameters -> what kornia offers for it, without trained weights
-    choices : parameter -> the values it may have
+    build : (kornia's name, parameters) -> what kornia offers for it; with ``trained=True`` that with the weights that
+        kornia downloads
     files : parameters -> names under which kornia keeps the weights it downloads; None: it needs none
     source : where these weights come from
-    download : parameters -> the same as `build`, with weights that kornia downloads
     """
 
-    summary: str
-    parameters: Mapping[str, Any] = field(hash=False)
-    build: Callable[[Mapping[str, Any]], Any]
-    choices: Mapping[str, tuple[Any, ...]] = field(default_factory=dict, hash=False)
+    build: Callable[..., Any] = plain
     files: Callable[[Mapping[str, Any]], tuple[str, ...]] | None = None
     source: str = ""
-    download: Callable[[Mapping[str, Any]], Any] | None = None
 
     @property
     def unavailable(self) -> str:
-        """Why it cannot be used as it stands, with the cure; "" where it can."""
         missing = library_missing()
         if missing or self.files is None:
             return missing
-        absent = [name for name in self.files(self.parameters) if not cached(name)]
+        absent = [name for name in self.files(self.defaults) if not cached(name)]
         return _no_weights(self, absent) if absent else ""
 
     @property
     def on_demand(self) -> bool:
-        """Whether weights alone are missing, which a parameter or a download can give."""
         return self.files is not None and not library_missing()
 
 
@@ -128,32 +118,11 @@ def cached(name: str) -> bool:
     return (home / "hub" / "checkpoints" / name).is_file()
 
 
-@dataclass(frozen=True)
-class KorniaPart:
-    """What the plugins of kornia have in common: a row by name, and its parameters, also as attributes.
+class KorniaPart(Part):
+    """What the plugins of kornia have in common: a network, built once for its parameters and shared."""
 
-    Parameters
-    ----------
-    name : under which it is registered
-    parameters : the values that differ from the defaults; afterwards all
-    row : of the table
-    """
-
-    name: str
-    parameters: Mapping[str, Any]
-
-    @property
-    @abstractmethod
-    def row(self) -> Row:
-        """The row of this name in the table of its room."""
-
-    def __post_init__(self) -> None:
-        values = settings(self.name, self.row, self.parameters)
-        object.__setattr__(self, "parameters", values)
-        vars(self).update(values)
-
-    def __hash__(self) -> int:
-        return hash((self.name, *self.parameters.values()))
+    table: ClassVar[Mapping[str, KorniaRow]]
+    compiled = False
 
     def network(self) -> Any:
         """Return what kornia offers for these parameters, with its weights, on its device."""
@@ -167,11 +136,11 @@ class KorniaPart:
 def _network(kind: type[KorniaPart], name: str, given: tuple[tuple[str, Any], ...], stamps: tuple[Any, ...]) -> Any:
     from featreg.interop.torch_arrays import as_device
 
-    values, row = dict(given), kind(name, {}).row
+    values, row = dict(given), kind.table[name]
     import_kornia()
     # A new network is filled with random numbers before its weights are read: the caller's stay as they were.
     with import_torch().random.fork_rng(devices=[]):
-        made = _loaded(name, row, values) if row.files is not None else row.build(values)
+        made = row.build(row.creator, values) if row.files is None else _loaded(name, row, values)
     return made.to(as_device(values["device"])).eval() if hasattr(made, "eval") else made
 
 
@@ -187,10 +156,10 @@ def _stamp(path: str) -> tuple[str, float, int]:
     return str(Path(path).resolve()), state.st_mtime, state.st_size
 
 
-def _loaded(name: str, row: Row, values: Mapping[str, Any]) -> Any:
+def _loaded(name: str, row: KorniaRow, values: Mapping[str, Any]) -> Any:
     """The network of a row with the weights that were given, or with those that kornia downloads."""
     if values["weights"]:
-        network = row.build(values)
+        network = row.build(row.creator, values)
         targets = {"weights": network}
         if "descriptor_weights" in values:
             if not values["descriptor_weights"]:
@@ -202,16 +171,14 @@ def _loaded(name: str, row: Row, values: Mapping[str, Any]) -> Any:
     absent = [f for f in row.files(values) if not cached(f)] if row.files else []
     if absent and not reachable():
         raise PluginUnavailableError(f"{name}: {_no_weights(row, absent)} ({HOST[0]} cannot be reached now)")
-    if row.download is None:
-        raise PluginUnavailableError(f"{name}: {_no_weights(row, absent)}")
     try:
-        return row.download(values)
+        return row.build(row.creator, values, trained=True)
     except (OSError, RuntimeError, ValueError, KeyError) as error:
         text = " ".join(str(error).split())[:200]
         raise PluginUnavailableError(f"{name}: {_no_weights(row, absent)} (kornia: {text})") from error
 
 
-def _no_weights(row: Row, absent: list[str]) -> str:
+def _no_weights(row: KorniaRow, absent: list[str]) -> str:
     names = " and ".join(absent) or "the weights"
     return f"its trained weights are not on this machine; give weights=FILE ({names} from {row.source}) or go online"
 
@@ -301,44 +268,3 @@ def reachable() -> bool:
     caller.start()
     caller.join(PATIENCE)
     return answered.is_set()
-
-
-def settings(name: str, row: Row, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return every parameter's value, with `given` checked.
-
-    Raises
-    ------
-    ParameterError
-        A parameter that there is not, or a value that cannot be.
-    """
-    values = dict(row.parameters)
-    for key, value in given.items():
-        if key not in values:
-            raise ParameterError(f"{name} has no parameter '{key}', {suggest(key, values)}")
-        values[key] = _checked(name, key, value, row)
-    return values
-
-
-def _checked(name: str, key: str, value: Any, row: Row) -> Any:
-    default = row.parameters[key]
-    if key in row.choices and value not in row.choices[key]:
-        known = ", ".join(map(repr, row.choices[key]))
-        raise ParameterError(f"{name}: {key} must be one of {known}, got {value!r}")
-    if key == "normalise" and value not in METHODS:
-        raise ParameterError(f"{name}: unknown normalise method '{value}', {suggest(str(value), METHODS)}")
-    if key.endswith("weights"):
-        if value is not None and not isinstance(value, str | Path):
-            raise ParameterError(f"{name}: {key} must be the path of a file or None, got {value!r}")
-        return None if value is None else str(value)
-    if isinstance(default, bool) or not isinstance(default, int | float):
-        if type(value) is not type(default):
-            raise ParameterError(f"{name}: {key} must be like {default!r}, got {value!r}")
-        return value
-    number = float(value) if isinstance(default, float) else int(value)
-    # Zero switches off or stands for "no limit", except where a count or a size is meant.
-    least = 1 if key in COUNTS else 0
-    if not number >= least:
-        raise ParameterError(f"{name}: {key} must be at least {least}, got {value!r}")
-    if key in POSITIVE and not number > 0:
-        raise ParameterError(f"{name}: {key} must be above 0, got {value!r}")
-    return number

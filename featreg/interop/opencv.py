@@ -5,16 +5,18 @@ OpenCV 5 moved BRISK, KAZE, AKAZE and AGAST to `cv2.xfeatures2d`.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from featreg.errors import InputError, ParameterError, suggest
-from featreg.sar.normalise import METHODS, to_uint8
+from featreg.errors import InputError, ParameterError
+from featreg.interop.family import DESCRIBE, NORMALISE, Option, Row, option
+from featreg.sar.normalise import to_uint8
 from featreg.types import BoolArray, Features, FloatArray, Image
 
 ALGORITHMS = (
@@ -22,6 +24,8 @@ ALGORITHMS = (
     "DAISY", "FREAK", "FastFeatureDetector", "GFTTDetector", "HarrisLaplaceFeatureDetector", "KAZE", "LATCH", "LUCID",
     "MSDDetector", "MSER", "ORB", "SIFT", "SURF", "SimpleBlobDetector", "StarDetector", "TBMR", "TEBLID", "VGG",
 )  # fmt: skip
+#: Shortest side of an image that every algorithm handles, px.
+MIN_SIDE = 16
 CURE = "pip install opencv-contrib-python-headless"
 
 
@@ -132,48 +136,37 @@ def _orb_level(level: NDArray[Any], scale_factor: float, shape: tuple[int, int])
     return s.astype(np.float64), size / np.maximum(columns_and_rows, 1.0).astype(np.float64)
 
 
+def snake(**defaults: Any) -> dict[str, Option]:
+    """Return parameters that OpenCV calls as we do."""
+    return {key: option(default, keyword=key) for key, default in defaults.items()}
+
+
+def camel(**defaults: Any) -> dict[str, Option]:
+    """Return parameters that OpenCV calls so in camelCase."""
+    return {
+        key: option(default, keyword=re.sub("_(.)", lambda found: found[1].upper(), key))
+        for key, default in defaults.items()
+    }
+
+
 @dataclass(frozen=True)
-class Parameter:
-    """One parameter of an OpenCV algorithm.
+class Algorithm(Row):
+    """A row of a table of OpenCV's algorithms; every one has a parameter `normalise`.
 
     Parameters
     ----------
-    keyword : OpenCV's own name of it; "" where featreg alone uses it
-    default : its default; values must be of the same type
-    choices : word -> OpenCV's constant, for parameters that are chosen from a list
+    describes : it is a detector that describes as well, and has a parameter `describe`
     """
 
-    keyword: str
-    default: Any
-    choices: Mapping[Any, int] | None = field(default=None, hash=False)
+    describes: bool = False
 
-
-@dataclass(frozen=True)
-class Algorithm:
-    """One row of a family's table: OpenCV's name of an algorithm, a summary and its parameters by our names."""
-
-    creator: str
-    summary: str
-    parameters: Mapping[str, Parameter] = field(hash=False)
+    def __post_init__(self) -> None:
+        describe = DESCRIBE if self.describes else {}
+        object.__setattr__(self, "parameters", {**self.parameters, **describe, **NORMALISE})
 
     @property
-    def defaults(self) -> dict[str, Any]:
-        return {key: p.default for key, p in self.parameters.items()}
-
-    def settings(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Return every parameter's value, with `given` checked.
-
-        Raises
-        ------
-        ParameterError
-            A parameter that the algorithm does not have, or a value it refuses.
-        """
-        values = self.defaults
-        for key, value in given.items():
-            if key not in values:
-                raise ParameterError(f"OpenCV's {self.creator} has no parameter '{key}', {suggest(key, values)}")
-            values[key] = _checked(key, value, self.parameters[key])
-        return values
+    def unavailable(self) -> str:
+        return unavailable(self.creator)
 
     def make(self, values: Mapping[str, Any]) -> Any:
         """Return a new OpenCV object with these values (creating one costs far less than any use of it)."""
@@ -181,9 +174,7 @@ class Algorithm:
         if isinstance(found, str):
             raise ParameterError(f"{self.creator} cannot be used here: {found}")
         keywords = {
-            p.keyword: p.choices[values[key]] if p.choices else values[key]
-            for key, p in self.parameters.items()
-            if p.keyword
+            p.keyword: p.constants.get(values[key], values[key]) for key, p in self.parameters.items() if p.keyword
         }
         if self.creator == "SimpleBlobDetector":
             import cv2
@@ -194,25 +185,24 @@ class Algorithm:
             return found(options)
         return found(**keywords)
 
+    def form(self, values: Mapping[str, Any]) -> tuple[str, int]:
+        """Norm and length (numbers or bytes) of the descriptors with these values."""
+        with clear_errors(self.creator):
+            made = self.make(values)
+        return "l2" if made.descriptorType() else "hamming", made.descriptorSize()
 
-NORMALISE = {"normalise": Parameter("", "auto")}
 
-
-def _checked(key: str, value: Any, parameter: Parameter) -> Any:
-    wanted = type(parameter.default)
-    if parameter.choices is not None:
-        if value not in parameter.choices:
-            known = ", ".join(map(repr, parameter.choices))
-            raise ParameterError(f"{key} must be one of {known}, got {value!r}")
-        return value
-    if wanted is float and isinstance(value, int | np.integer | np.floating) and not isinstance(value, bool):
-        value = float(value)
-    elif wanted is int and isinstance(value, np.integer):
-        value = int(value)
-    if type(value) is not wanted:
-        raise ParameterError(f"{key} must be of type {wanted.__name__}, got {value!r}")
-    if key == "n_features" and value < 1:
-        raise ParameterError(f"n_features must be at least 1, got {value}")
-    if key == "normalise" and value not in METHODS:
-        raise ParameterError(f"unknown normalise method '{value}', {suggest(value, METHODS)}")
-    return value
+#: What the detector and the descriptor of one name have in common.
+HALF_PIXEL = {"half_pixel": option(True, meaning="put right the positions that OpenCV shifts")}
+LEVELS = {
+    **camel(n_octaves=4, n_octave_layers=4),
+    "diffusivity": option(
+        "pm-g2", choices={"pm-g1": 0, "pm-g2": 1, "weickert": 2, "charbonnier": 3}, keyword="diffusivity"
+    ),
+}
+KINDS = {"kaze-upright": 2, "kaze": 3, "mldb-upright": 4, "mldb": 5}
+MLDB = {
+    "descriptor_type": option("mldb", choices=KINDS, keyword="descriptor_type"),
+    **snake(descriptor_size=0, descriptor_channels=3),
+}
+SIZES = camel(extended=False, upright=False)

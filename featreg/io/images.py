@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from featreg.errors import InputError, ParameterError, suggest
 from featreg.io.masks import MaskLike, as_mask, holds_nodata
 from featreg.io.readers import Raster, read_raster, read_small_raster
-from featreg.io.scales import SCALES, check_content, complex_pixels, real_pixels
-from featreg.types import BoolArray, Image
+from featreg.io.scales import SCALES, NoContentError, check_content, complex_pixels, real_pixels
+from featreg.types import BoolArray, Image, read_only
 
 SMALLEST = 16
 
@@ -96,6 +96,29 @@ def read_image(
     return as_image(Path(path), mask=mask, nodata=nodata, scale=scale)
 
 
+def image_or_none(array: NDArray[Any], mask: NDArray[Any] | None = None) -> Image | None:
+    """Return an array as an `Image`, None where there is nothing on it: the manners of OpenCV's feature classes.
+
+    Parameters
+    ----------
+    array : (H, W) of any depth
+    mask : (H, W), non-zero where pixels are data
+
+    Raises
+    ------
+    InputError
+        Misuse: more dimensions than two, a mask of another shape, samples that are no numbers. An image smaller than
+        16 x 16, without a valid pixel or of one value is none.
+    """
+    valid = None if mask is None else np.asarray(mask) != 0
+    if valid is not None and valid.shape != np.shape(array)[:2]:
+        raise InputError(f"the mask must have the shape of the array, {np.shape(array)[:2]}, got {valid.shape}")
+    try:
+        return as_image(array, mask=valid)
+    except NoContentError:
+        return None
+
+
 def _restricted(image: Image, mask: MaskLike | None, nodata: complex | None, scale: str | None) -> Image:
     if scale not in (None, image.scale):
         raise InputError(f"{image.name}: was already made as '{image.scale}', scale='{scale}' contradicts it")
@@ -105,7 +128,7 @@ def _restricted(image: Image, mask: MaskLike | None, nodata: complex | None, sca
     valid &= image.mask
     pixels = np.where(valid, image.pixels, image.pixels.dtype.type(0))
     check_content(pixels, valid, image.name)
-    return replace(image, pixels=pixels, mask=valid)
+    return replace(image, pixels=read_only(pixels), mask=read_only(valid))
 
 
 def _image(
@@ -130,7 +153,7 @@ def _image(
         valid = np.ones(pixels.shape, np.bool_)
     else:
         pixels[~valid] = 0
-    return Image(pixels, valid, raster.geolocation, name, raster.dtype, scale)
+    return Image(read_only(pixels), read_only(valid), raster.geolocation, name, raster.dtype, scale)
 
 
 def _check_form(samples: NDArray[Any], name: str) -> None:
@@ -142,7 +165,7 @@ def _check_form(samples: NDArray[Any], name: str) -> None:
     height, width = samples.shape
     if min(height, width) < SMALLEST:
         size = f"{width} x {height} pixels (width x height)"
-        raise InputError(f"{name}: {size} is too small, at least {SMALLEST} x {SMALLEST} is needed")
+        raise NoContentError(f"{name}: {size} is too small, at least {SMALLEST} x {SMALLEST} is needed")
 
 
 def _combine(

@@ -20,7 +20,7 @@ from featreg.io.readers import Raster
 from featreg.io.scales import SCALES, complex_pixels, real_pixels
 from featreg.io.window import Window
 from featreg.runtime.digests import digest_bytes
-from featreg.types import BoolArray, Geolocation, Image
+from featreg.types import BoolArray, Geolocation, Image, read_only
 
 __all__ = [
     "CACHE_BYTES",
@@ -125,7 +125,7 @@ class RasterSource:
             good = share > 0.5
             pixels[top : top + rows] = np.sqrt(np.divide(cells, share, out=np.zeros_like(cells), where=good))
             mask[top : top + rows] = good
-        return Image(pixels, mask, None, self.path, self.dtype, self.known_scale)
+        return Image(read_only(pixels), read_only(mask), None, self.path, self.dtype, self.known_scale)
 
     def identity(self) -> dict[str, Any]:
         """What tells this source from another: size, time and both ends of its files, scale, nodata and band."""
@@ -299,13 +299,13 @@ def fingerprint(path: str | Path) -> dict[str, Any]:
 def _padded(
     pixels: NDArray[Any], mask: BoolArray, window: Window, shape: tuple[int, int]
 ) -> tuple[NDArray[Any], BoolArray]:
-    """The part inside the scene on the whole window, what is outside masked."""
+    """The part inside the scene on the whole window, what is outside masked; locked."""
     part = window.within(shape)
     if part == window:
-        return pixels, mask
+        return read_only(pixels), read_only(mask)
     whole, valid = np.zeros(window.shape, pixels.dtype), np.zeros(window.shape, np.bool_)
     if part is not None:
         rows = slice(part.y - window.y, part.y - window.y + part.height)
         cols = slice(part.x - window.x, part.x - window.x + part.width)
         whole[rows, cols], valid[rows, cols] = pixels, mask
-    return whole, valid
+    return read_only(whole), read_only(valid)

@@ -18,6 +18,10 @@ DB_NEGATIVE_SHARE = 0.01
 logger = logging.getLogger("featreg.io")
 
 
+class NoContentError(InputError):
+    """There is nothing on an image: too few pixels, none that is valid, or one value everywhere."""
+
+
 def real_pixels(
     samples: NDArray[Any],
     valid: BoolArray | None,
@@ -47,7 +51,7 @@ def real_pixels(
         low, high = samples.min(), samples.max()
         if low >= 0 and high <= np.finfo(np.float32).max:
             if low == high and content:
-                raise InputError(_constant(name, float(low)))
+                raise NoContentError(_constant(name, float(low)))
             return samples.astype(np.float32, order="C", copy=not owned), None, "amplitude"
     # Small integers and halves become float32, which holds them all; numpy would take their root in half precision.
     values = samples.astype(np.result_type(samples.dtype, np.float32), copy=False)
@@ -88,13 +92,13 @@ def complex_pixels(
 
 
 def check_content(pixels: NDArray[Any], valid: BoolArray, name: str) -> None:
-    """Raise `InputError` where no pixel is valid or all valid ones hold the same value."""
+    """Raise `NoContentError` where no pixel is valid or all valid ones hold the same value."""
     if not valid.any():
         reason = "holds no valid pixel (all are NaN, infinite, nodata or masked)"
-        raise InputError(f"{name}: {reason}; check the file, mask= and nodata=")
+        raise NoContentError(f"{name}: {reason}; check the file, mask= and nodata=")
     first = pixels[np.unravel_index(int(valid.argmax()), valid.shape)]
     if not ((pixels != first) & valid).any():
-        raise InputError(_constant(name, first))
+        raise NoContentError(_constant(name, first))
 
 
 def _inferred_scale(values: NDArray[Any], below: int, name: str) -> str:

@@ -205,8 +205,8 @@ def _slots(name: str, preset: Preset, method: str | Matcher, keywords: dict[str,
     slots = {role: _Slot.of(role, part) for role, part in parts.items() if part is not None}
     detector = slots.get("detector")
     # A descriptor was asked for, so a detector that could describe its own points must not.
-    if detector and "descriptor" in slots and "describe" in detector.known:
-        detector.parameters["describe"] = False
+    if detector and "descriptor" in slots and detector.entry and detector.entry.describes:
+        detector.parameters[detector.entry.describes] = False
     return slots
 
 

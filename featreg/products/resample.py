@@ -15,7 +15,7 @@ from featreg.interfaces import FailedFit, Model
 from featreg.io import ImageLike, as_image
 from featreg.products.lattice import Lattice, lattice_of
 from featreg.results.registration import Registration
-from featreg.types import BoolArray, FloatArray, Image
+from featreg.types import BoolArray, FloatArray, Image, read_only
 
 #: Pixels that one output value rests on, along each axis.
 TAPS = {"nearest": 1, "bilinear": 2, "cubic": 4, "lanczos": 8}
@@ -78,7 +78,7 @@ def resample(
         np.maximum(pixels, 0, out=pixels)
     # Interpolated 8-bit samples are no longer 8-bit: they swing beyond 255.
     dtype = image.source_dtype if resampling == "nearest" else str(pixels.dtype)
-    return Image(pixels, mask, None, image.name, dtype, image.scale)
+    return Image(read_only(pixels), read_only(mask), None, image.name, dtype, image.scale)
 
 
 class Support:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from featreg.types import BoolArray, FloatArray, Image
+from featreg.types import BoolArray, FloatArray, Image, read_only
 
 SMALLEST = 32
 # Radius, in pixels of a level, from which a point of that level is described.
@@ -73,7 +73,7 @@ def _smaller(image: Image, levels: int, factor: float) -> tuple[Image, ...]:
             share = cv2.resize(before.mask.view(np.uint8) * 255, size, interpolation=cv2.INTER_LINEAR)
             mask = share == 255
             pixels *= mask
-        chain.append(Image(np.asarray(pixels, np.float32), mask, source_dtype=image.source_dtype))
+        chain.append(Image(read_only(np.asarray(pixels, np.float32)), read_only(mask), source_dtype=image.source_dtype))
     return tuple(chain[1:])
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Annotated
 
 import numpy as np
@@ -21,7 +21,7 @@ from featreg.focusing.backprojection import SPEED_OF_LIGHT
 from featreg.focusing.phase_history import PhaseHistory
 from featreg.runtime.parameters import Count, Positive, checked
 from featreg.runtime.threads import worker_count
-from featreg.types import FloatArray, points, read_only
+from featreg.types import FloatArray, kept, points, read_only
 
 #: Scatterers of one vehicle, over all aspects; one in twenty or so is seen at a time.
 PARTS = 480
@@ -71,8 +71,8 @@ class ParkingLot:
             raise ParameterError(f"a lot of {n} scatterers needs (N, 3) positions and (N,) columns")
         if n and not (self.persistence_deg > 0).all():
             raise ParameterError("persistence must be > 0 degrees, or inf")
-        for values in (self.positions, *columns, self.vehicles, self.targets):
-            read_only(values)
+        for field in fields(self):
+            object.__setattr__(self, field.name, kept(getattr(self, field.name)))
 
     @property
     def radius(self) -> float:
@@ -267,7 +267,7 @@ def circular_phase_history(
     with ThreadPoolExecutor(worker_count(workers)) as pool:
         parts = pool.map(lambda rows: _samples(seen, azimuth[rows], positions[rows], r0[rows], frequencies), chunks)
         samples = np.concatenate(list(parts))
-    return PhaseHistory(samples, frequencies, positions, r0, azimuth, name="simulated circle")
+    return PhaseHistory(read_only(samples), frequencies, positions, r0, azimuth, name="simulated circle")
 
 
 #: Scatterers as the kernel takes them: x, y, z, real, imag, aspect, rate.

@@ -7,10 +7,11 @@ Coordinate convention, valid everywhere in this package
 * A model maps reference -> secondary pixel coordinates.
 * Angles are counter-clockwise as seen on the displayed image (y up), 0 along +x, in radians in `Features.angle`.
 
-All types are frozen dataclasses of arrays, checked where they are made, and hold read-only arrays.
+All types are frozen dataclasses of arrays, checked where they are made. The arrays that they hold are read-only; those
+that they were given stay as they are, and writing to them changes no object.
 """
 
-from featreg.types.arrays import BoolArray, FloatArray, IntArray, column, finite, points, read_only
+from featreg.types.arrays import BoolArray, FloatArray, IntArray, column, finite, kept, points, read_only
 from featreg.types.features import Features
 from featreg.types.gate import Gate, verdict
 from featreg.types.image import Geolocation, Image
@@ -29,6 +30,7 @@ __all__ = [
     "PixelSize",
     "column",
     "finite",
+    "kept",
     "points",
     "read_only",
     "verdict",

@@ -16,8 +16,25 @@ A = TypeVar("A", bound=NDArray[Any])
 
 
 def read_only(array: A) -> A:
-    """Return `array` itself, locked against writing."""
-    array.flags.writeable = False
+    """Return `array` itself, locked against writing with all that it is a view of: for arrays that one made oneself."""
+    part: Any = array
+    while isinstance(part, np.ndarray):
+        part.flags.writeable = False
+        part = part.base
+    return array
+
+
+def kept(array: A) -> A:
+    """Return `array` such that nobody writes to it later: itself where it is locked, else a locked copy.
+
+    Whoever makes a large array for an object calls `read_only` on it first and so gives it away. A locked view of what
+    can be written to is copied too.
+    """
+    part: Any = array
+    while isinstance(part, np.ndarray):
+        if part.flags.writeable:
+            return read_only(array.copy())
+        part = part.base
     return array
 
 

@@ -12,7 +12,17 @@ from numpy.typing import ArrayLike, NDArray
 from featreg.errors import InputError
 from featreg.types import keypoints as opencv_keypoints
 from featreg.types import lafs as kornia_lafs
-from featreg.types.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays, column, finite, points, read_only
+from featreg.types.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    ReadOnlyArrays,
+    column,
+    finite,
+    kept,
+    points,
+    read_only,
+)
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -52,10 +62,9 @@ class Features(ReadOnlyArrays):
         for name in ("scale", "angle", "score"):
             put(self, name, finite(column(getattr(self, name), n, f"Features.{name}"), f"Features.{name}"))
         put(self, "level", column(self.level, n, "Features.level", np.int64))
-        if self.index is not None:
-            put(self, "index", column(self.index, n, "Features.index", np.int64))
-        if self.subpixel is not None:
-            put(self, "subpixel", column(self.subpixel, n, "Features.subpixel", np.bool_))
+        for name, dtype in (("index", np.int64), ("subpixel", np.bool_)):
+            if getattr(self, name) is not None:
+                put(self, name, column(getattr(self, name), n, f"Features.{name}", dtype))
         if self.norm not in ("l2", "hamming"):
             raise InputError(f"Features.norm must be 'l2' or 'hamming', got '{self.norm}'")
         if self.descriptors is not None:
@@ -63,7 +72,7 @@ class Features(ReadOnlyArrays):
             d = self.descriptors
             if d.ndim != 2 or len(d) != n or d.dtype != wanted:
                 raise InputError(f"descriptors must be ({n}, D) {np.dtype(wanted)}, got {d.dtype} {d.shape}")
-            read_only(d)
+            put(self, "descriptors", kept(d))
 
     @classmethod
     def empty(cls) -> Self:
@@ -75,32 +84,18 @@ class Features(ReadOnlyArrays):
         """The undescribed features of all parts, one after the other."""
         if not parts:
             return cls.empty()
-        marks = [part.subpixel for part in parts]
-        return cls(
-            xy=np.concatenate([part.xy for part in parts]),
-            scale=np.concatenate([part.scale for part in parts]),
-            angle=np.concatenate([part.angle for part in parts]),
-            score=np.concatenate([part.score for part in parts]),
-            level=np.concatenate([part.level for part in parts]),
-            subpixel=None if any(m is None for m in marks) else np.concatenate([m for m in marks if m is not None]),
-        )
+        names = ["xy", "scale", "angle", "score", "level"]
+        names += [] if any(part.subpixel is None for part in parts) else ["subpixel"]
+        columns: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+        return cls(**columns)
 
     def __len__(self) -> int:
         return len(self.xy)
 
     def take(self, rows: NDArray[Any]) -> Self:
         """The features of the given rows (indices or a bool mask), in that order."""
-        return replace(
-            self,
-            xy=self.xy[rows],
-            scale=self.scale[rows],
-            angle=self.angle[rows],
-            score=self.score[rows],
-            level=self.level[rows],
-            descriptors=None if self.descriptors is None else self.descriptors[rows],
-            index=None if self.index is None else self.index[rows],
-            subpixel=None if self.subpixel is None else self.subpixel[rows],
-        )
+        columns = {name: values for name, values in vars(self).items() if isinstance(values, np.ndarray)}
+        return replace(self, **{name: read_only(values[rows]) for name, values in columns.items()})
 
     def best(self, count: int) -> Self:
         """At most `count` features of the highest score, best first, ties in the order given."""

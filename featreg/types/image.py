@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import InputError
-from featreg.types.arrays import BoolArray, FloatArray, read_only
+from featreg.types.arrays import BoolArray, FloatArray, ReadOnlyArrays, kept
 from featreg.types.derived import DerivedMaps
 
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
-class Geolocation:
+class Geolocation(ReadOnlyArrays):
     """Where an image lies on the ground, as its file says it; any of the three forms may be missing.
 
     `transform` is GDAL's affine (a, b, c, d, e, f) from pixel corners to `crs` (WKT or authority code); `rpcs` holds
@@ -30,9 +30,13 @@ class Geolocation:
     rpcs: Mapping[str, Any] | None = None
     gcps: FloatArray | None = None
 
+    def __post_init__(self) -> None:
+        if self.gcps is not None:
+            object.__setattr__(self, "gcps", kept(self.gcps))
+
 
 @dataclass(frozen=True, eq=False)
-class Image:
+class Image(ReadOnlyArrays):
     """One SAR image: linear amplitude or complex samples, and which of its pixels are data.
 
     Parameters
@@ -51,7 +55,8 @@ class Image:
 
     Notes
     -----
-    Use `featreg.io.as_image` to make one from a path or a plain array.
+    Use `featreg.io.as_image` to make one from a path or a plain array. Arrays that can be written to are copied, and
+    those that are locked shared.
     """
 
     pixels: NDArray[np.float32] | NDArray[np.complex64]
@@ -69,8 +74,8 @@ class Image:
             raise InputError(f"pixels must be float32 amplitude or complex64, got {self.pixels.dtype}")
         if self.mask.shape != self.pixels.shape or self.mask.dtype != np.bool_:
             raise InputError(f"mask must be bool {self.pixels.shape}, got {self.mask.dtype} {self.mask.shape}")
-        read_only(self.pixels)
-        read_only(self.mask)
+        object.__setattr__(self, "pixels", kept(self.pixels))
+        object.__setattr__(self, "mask", kept(self.mask))
         object.__setattr__(self, "_derived", DerivedMaps())
 
     @property
@@ -107,9 +112,7 @@ class Image:
         return {k: v for k, v in self.__dict__.items() if k != "_derived"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        read_only(self.pixels)
-        read_only(self.mask)
+        super().__setstate__(state)
         self.__dict__["_derived"] = DerivedMaps()
 
 

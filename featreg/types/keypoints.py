@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from featreg.types.arrays import FloatArray
+from featreg.types.arrays import FloatArray, read_only
 
 _FIELDS = attrgetter("size", "angle", "response", "octave")
 
@@ -72,7 +72,7 @@ def from_keypoints(keypoints: Sequence[Any], descriptors: NDArray[Any] | None = 
     if descriptors is not None:
         descriptors = np.array(descriptors, dtype=np.uint8 if descriptors.dtype == np.uint8 else np.float32)
         # OpenCV returns no rows as an array of one dimension.
-        descriptors = None if n == 0 and descriptors.ndim != 2 else descriptors
+        descriptors = None if n == 0 and descriptors.ndim != 2 else read_only(descriptors)
     table = np.array([_FIELDS(k) for k in keypoints], dtype=np.float64).reshape(n, 4)
     octave = table[:, 3].astype(np.int64) & 255
     xy = np.asarray(cv2.KeyPoint.convert(keypoints), np.float64) if n else np.zeros((0, 2))

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from featreg.errors import InputError
 from featreg.runtime.optional import import_torch
-from featreg.types.arrays import FloatArray
+from featreg.types.arrays import FloatArray, read_only
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -56,7 +56,7 @@ def from_lafs(
         raise InputError(f"LAFs have shape (1, N, 2, 3) or (N, 2, 3), got {shape}")
     frames = to_numpy(lafs).reshape(-1, 2, 3)
     filled = (frames != 0).any(axis=(1, 2))
-    table = None if descriptors is None else np.ascontiguousarray(to_numpy(descriptors, np.float32)[filled])
+    table = None if descriptors is None else read_only(np.ascontiguousarray(to_numpy(descriptors, np.float32)[filled]))
     frames = frames[filled]
     n = len(frames)
     return {

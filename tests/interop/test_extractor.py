@@ -11,6 +11,7 @@ import pytest
 import featreg
 from featreg.errors import ParameterError, UnknownNameError
 from featreg.interop.extraction import Extractor, extractor
+from featreg.interop.opencv import resolve
 from featreg.simulate import sar_pair
 
 IMAGE = sar_pair((256, 256), seed=1).reference
@@ -69,6 +70,30 @@ def test_nothing_found_is_empty() -> None:
     keypoints, descriptors = extractor("fast", "brief").detectAndCompute(step)
     assert len(keypoints) == 0
     assert descriptors is None or len(descriptors) == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "given"),
+    [("orb", {}), ("sift", {}), ("kaze", {"extended": True}), ("akaze", {"descriptor_type": "kaze"}), ("brisk", {})],
+)
+def test_the_form_of_descriptors_is_opencvs(name: str, given: dict[str, Any]) -> None:
+    create: Any = resolve(name.upper())
+    theirs = create(**({"descriptor_type": 3} if name == "akaze" else given))
+    alone: Any = extractor(name, **given)
+    both: Any = extractor("fast", name, **given)
+    for ours in (alone, both):
+        for question in ("defaultNorm", "descriptorSize", "descriptorType"):
+            assert getattr(ours, question)() == getattr(theirs, question)(), question
+    assert alone.detectAndCompute(IMAGE)[1].shape[1] == theirs.descriptorSize()
+
+
+def test_the_form_follows_from_the_parameters() -> None:
+    made = extractor("sar-ofast", "brief", bits=512)
+    assert (made.defaultNorm(), made.descriptorSize(), made.descriptorType()) == (cv2.NORM_HAMMING, 64, cv2.CV_8U)
+    with pytest.raises(ParameterError, match="choose one, as in descriptor='brief'"):
+        extractor("fast").descriptorSize()
+    with pytest.raises(ParameterError, match="choose one, as in descriptor='brief'"):
+        extractor("orb", describe=False).defaultNorm()
 
 
 def test_objects_and_names_mix() -> None:

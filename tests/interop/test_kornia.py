@@ -345,8 +345,9 @@ def test_keynet_reports_the_centres_of_its_pixels(monkeypatch: pytest.MonkeyPatc
     from scipy.spatial import cKDTree
 
     table = sys.modules["featreg.detectors.kornia"].TABLE
-    row = replace(table["kornia-keynet"], build=lambda v: library.MultiResolutionDetector(library.BlobHessian()))
-    monkeypatch.setitem(table, "kornia-keynet", replace(row, files=None))
+    blobs = library.MultiResolutionDetector(library.BlobHessian())
+    row = replace(table["kornia-keynet"], build=lambda creator, values: blobs, files=None)
+    monkeypatch.setitem(table, "kornia-keynet", row)
     featreg_kornia._network.cache_clear()
     try:
         detector = registry.create("detector", "kornia-keynet")

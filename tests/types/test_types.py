@@ -7,6 +7,9 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,10 +17,16 @@ import pytest
 from numpy.typing import NDArray
 
 from featreg.errors import InputError
+from featreg.focusing.phase_history import PhaseHistory
+from featreg.focusing.result import FocusResult
 from featreg.geometry import Translation
 from featreg.interfaces import FailedFit
+from featreg.io import as_image
+from featreg.io.raster_source import RasterSource
+from featreg.io.window import Window
 from featreg.results.registration import Registration
-from featreg.types import Features, Image, Matches
+from featreg.simulate.circle import ParkingLot
+from featreg.types import Features, Geolocation, Image, Matches, kept, read_only
 from featreg.types.derived import DerivedMaps
 
 CALLS: list[tuple[str, float]] = []
@@ -334,3 +343,103 @@ def test_residuals_of_a_registration() -> None:
     np.testing.assert_allclose(made.residuals(), [0.0, 5.0])
     failed = Registration(found, {}, np.zeros(2, np.bool_), FailedFit("too few"), "unreliable", "too few")
     assert np.isnan(failed.residuals()).all()
+
+
+# The caller's arrays
+
+
+def an_image() -> tuple[dict[str, NDArray[Any]], Callable[..., Any]]:
+    return {"pixels": np.ones((3, 4), np.float32), "mask": np.ones((3, 4), np.bool_)}, Image
+
+
+def a_geolocation() -> tuple[dict[str, NDArray[Any]], Callable[..., Any]]:
+    return {"gcps": np.ones((4, 5))}, Geolocation
+
+
+def some_features() -> tuple[dict[str, NDArray[Any]], Callable[..., Any]]:
+    given: dict[str, NDArray[Any]] = {name: np.ones(3) for name in ("scale", "angle", "score")}
+    given |= {"level": np.ones(3, np.int64), "index": np.ones(3, np.int64), "subpixel": np.ones(3, np.bool_)}
+    return {"xy": np.ones((3, 2)), "descriptors": np.ones((3, 8), np.float32), **given}, Features
+
+
+def some_matches() -> tuple[dict[str, NDArray[Any]], Callable[..., Any]]:
+    points: dict[str, NDArray[Any]] = {name: np.ones((3, 2)) for name in ("reference_xy", "secondary_xy")}
+    columns: dict[str, NDArray[Any]] = {name: np.ones(3) for name in ("score", "rotation", "scale_ratio")}
+    return {**points, **columns, "covariance": np.ones((3, 2, 2)), "origin": np.ones(3, np.int64)}, Matches
+
+
+def a_registration() -> tuple[dict[str, NDArray[Any]], Callable[..., Any]]:
+    def make(inliers: NDArray[Any], fsc: NDArray[Any]) -> Any:
+        made = Registration(matches(3), {"fsc": fsc}, inliers, Translation(1, 0), "ok")
+        return SimpleNamespace(inliers=made.inliers, fsc=made.stages["fsc"])
+
+    return {"inliers": np.ones(3, np.bool_), "fsc": np.ones(3, np.bool_)}, make
+
+
+def a_phase_history() -> tuple[dict[str, NDArray[Any]], Callable[..., Any]]:
+    given: dict[str, NDArray[Any]] = {"samples": np.ones((3, 2), np.complex64), "frequencies": np.array([1.0, 2.0])}
+    given |= {name: np.ones(3) for name in ("r0", "azimuth_deg", "autofocus_range", "autofocus_phase")}
+    return {**given, "positions": np.ones((3, 3))}, PhaseHistory
+
+
+def a_focus_result() -> tuple[dict[str, NDArray[Any]], Callable[..., Any]]:
+    def make(**arrays: Any) -> FocusResult:
+        rest: dict[str, Any] = {"status": "ok", "reason": "", "deviation": 0.1, "image_entropy": (2.0, 1.0)}
+        return FocusResult(**arrays, iterations=1, **rest)
+
+    given: dict[str, NDArray[Any]] = {name: np.ones(2) for name in ("phase", "entropy", "cells")}
+    return {"image": np.ones((3, 4), np.complex64), **given}, make
+
+
+def a_parking_lot() -> tuple[dict[str, NDArray[Any]], Callable[..., Any]]:
+    given: dict[str, NDArray[Any]] = {name: np.ones(2) for name in ("amplitude", "aspect_deg", "persistence_deg")}
+    return {"positions": np.ones((2, 3)), **given, "vehicles": np.ones((1, 5)), "targets": np.ones((1, 2))}, ParkingLot
+
+
+@pytest.mark.parametrize(
+    "case",
+    [an_image, a_geolocation, some_features, some_matches, a_registration, a_phase_history, a_focus_result,
+     a_parking_lot],
+)  # fmt: skip
+def test_the_caller_keeps_writing_to_what_was_given_and_changes_nothing(case: Callable[[], Any]) -> None:
+    given, make = case()
+    before = {name: array.copy() for name, array in given.items()}
+    made = make(**given)
+    for name, array in given.items():
+        array[...] = 0
+        np.testing.assert_array_equal(getattr(made, name), before[name], err_msg=name)
+        with pytest.raises(ValueError, match="read-only"):
+            getattr(made, name)[...] = 0
+
+
+def test_what_is_locked_is_shared_and_what_is_a_view_of_the_open_is_not() -> None:
+    pixels, mask = read_only(np.ones((3, 4), np.float32)), read_only(np.ones((3, 4), np.bool_))
+    made = Image(pixels, mask)
+    assert made.pixels is pixels
+    assert made.mask is mask
+    assert replace(made, name="again").pixels is pixels
+    whole = np.ones((6, 4), np.float32)
+    view = whole[:3]
+    view.flags.writeable = False
+    part = Image(view, mask)
+    whole[:] = 0
+    assert (part.pixels == 1).all()
+    assert Image(pixels[1:], mask[1:]).pixels.base is pixels
+
+
+def test_readers_give_their_arrays_away(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """An image is not copied once more where it is read, in whole or by windows, inside the scene or over its rim."""
+    np.save(tmp_path / "scene.npy", np.arange(1.0, 1601.0, dtype=np.float32).reshape(40, 40))
+    shared = []
+
+    def seen(array: NDArray[Any]) -> NDArray[Any]:
+        shared.append(kept(array) is array)
+        return array
+
+    monkeypatch.setattr("featreg.types.image.kept", seen)
+    as_image(str(tmp_path / "scene.npy"))
+    as_image(np.arange(1600.0).reshape(40, 40))
+    source = RasterSource(str(tmp_path / "scene.npy"))
+    for window in (Window(0, 0, 40, 40), Window(5, 5, 20, 20), Window(-5, 30, 20, 20)):
+        source.read(window)
+    assert shared == [True] * 10

@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 from featreg.runtime.parameters import Positive, checked
 from featreg.sar.gradients.log_gabor import LogGabor, finest_amplitude, pieces
 from featreg.sar.speckle import mean_amplitude
-from featreg.types import BoolArray, Image
+from featreg.types import BoolArray, Image, read_only
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
@@ -192,4 +192,4 @@ def _without_rim(image: Image) -> Image | None:
     # One pixel more than was eroded: half-black pixels of an interpolated rim.
     grown = cv2.dilate(touching[label].view(np.uint8), np.ones((RIM_SIDE + 2, RIM_SIDE + 2), np.uint8))
     mask = image.mask & (grown == 0)
-    return Image(np.where(mask, amplitude, np.float32(0)), mask, source_dtype=image.source_dtype)
+    return Image(read_only(np.where(mask, amplitude, np.float32(0))), read_only(mask), source_dtype=image.source_dtype)
