@@ -54,7 +54,7 @@ def test_impossible_workers_are_refused_wherever_they_are_taken(given: Any) -> N
         IsolatedExecutor(given)
     with pytest.raises(ParameterError, match="workers must be"):
         _ = Runner(given, None, None).workers
-    with pytest.raises(ParameterError, match="workers. must be"):
+    with pytest.raises(ParameterError, match=r"workers. must be"):
         focus(np.ones((20, 20), np.complex64), workers=given)
     with pytest.raises(ParameterError, match="workers must be"):
         featreg.compare([(np.ones((20, 20), np.float32),) * 2], ["sar-orb"], workers=given)
