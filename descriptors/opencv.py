@@ -189,6 +189,7 @@ class OpenCVDescriptor(Part, Descriptor):
     """One descriptor of OpenCV: a row of the table by name, and its parameters."""
 
     table = TABLE
+    compiled = False
 
     def form(self) -> tuple[str, int]:
         return TABLE[self.name].form(self.parameters)

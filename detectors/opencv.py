@@ -221,6 +221,7 @@ class OpenCVDetector(Part, Detector):
     """One detector of OpenCV: a row of the table by name, and its parameters."""
 
     table = TABLE
+    compiled = False
     describes = "describe"
 
     def form(self) -> tuple[str, int] | None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Gt
 
 from featreg import FailedFit, Filter, FilterContext, Matches, register
 from featreg.geometry.robust import irls
@@ -22,8 +24,8 @@ class OutsideAgreement(Filter):
     threshold : px, how far from the fit it may lie
     """
 
-    reach: float = 60.0
-    threshold: float = 3.0
+    reach: Annotated[float, Gt(0)] = 60.0
+    threshold: Annotated[float, Gt(0)] = 3.0
 
     def keep(self, matches: Matches, context: FilterContext) -> BoolArray:
         motion = matches.secondary_xy - matches.reference_xy

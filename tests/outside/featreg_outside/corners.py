@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
+from annotated_types import Ge, Interval
 
 from featreg import Detector, Features, Image, register
 
@@ -27,10 +28,10 @@ class OutsideCorners(Detector):
 
     block_parameters: ClassVar[Mapping[str, Any]] = MappingProxyType({"spacing": 2})
 
-    n_features: int = 5000
-    sigma: float = 1.2
+    n_features: Annotated[int, Ge(1)] = 5000
+    sigma: Annotated[float, Interval(gt=0, le=10)] = 1.2
     describe: bool = True
-    spacing: int = 3
+    spacing: Annotated[int, Interval(ge=1, le=50)] = 3
 
     def detect_features(self, image: Image) -> Features:
         from scipy import ndimage

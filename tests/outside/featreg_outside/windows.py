@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
+from annotated_types import Ge
 
 from featreg import Image, Matcher, Matches, register
 
@@ -27,9 +28,9 @@ class OutsideWindows(Matcher):
     # A block's two windows begin apart by the reach and by how far the prior may be off.
     block_parameters: ClassVar[Mapping[str, Any]] = MappingProxyType({"search": 64})
 
-    half: int = 20
-    search: int = 12
-    step: int = 12
+    half: Annotated[int, Ge(4)] = 20
+    search: Annotated[int, Ge(1)] = 12
+    step: Annotated[int, Ge(1)] = 12
 
     def match(self, reference: Image, secondary: Image) -> Matches:
         import cv2

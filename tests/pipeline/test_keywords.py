@@ -1,0 +1,306 @@
+"""What `featreg.match` takes, declared once: the signature, the command line, experiments, digests, suggestions."""
+
+from __future__ import annotations
+
+import inspect
+import threading
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import featreg
+from featreg.cli.main import main
+from featreg.errors import CancelledError, ParameterError, UnknownNameError
+from featreg.interfaces import Filter, FilterContext
+from featreg.matching import check_keywords, keypoints_of
+from featreg.pipeline.assembly import assemble
+from featreg.pipeline.keywords import BY_NAME, KEYWORDS, deciding, names, of_keypoints, of_pipeline
+from featreg.simulate import SimulatedPair
+from featreg.study.prediction_cache import PredictionCache, _modules
+from featreg.types import BoolArray, Matches
+
+
+def test_match_takes_what_is_declared_and_parts_take_the_rest() -> None:
+    parameters = inspect.signature(featreg.match).parameters
+    taken = [name for name, p in parameters.items() if p.kind is p.KEYWORD_ONLY]
+    assembled = [name for name, p in inspect.signature(assemble).parameters.items() if p.kind is p.KEYWORD_ONLY]
+    assert {*taken, *names("part")} == set(BY_NAME)
+    assert {"method", *assembled, *names("part")} - {"blocks"} == set(names("method", "part"))
+    assert len(BY_NAME) == len(KEYWORDS)
+
+
+def test_every_option_that_is_declared_is_one_of_the_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["match", "--help"]) == 0
+    said = capsys.readouterr().out
+    for keyword in KEYWORDS:
+        for option in keyword.option.split(" or "):
+            assert option in said
+
+
+@pytest.mark.parametrize(
+    ("given", "near"),
+    [("resum", "resume"), ("methd", "method"), ("cancl", "cancel"), ("blok", "block"), ("thread", "threads")],
+)
+def test_a_misspelt_keyword_is_told_the_nearest(given: str, near: str, pair: SimulatedPair) -> None:
+    with pytest.raises(ParameterError, match=f"'{near}'"):
+        featreg.match(pair.reference, pair.secondary, **{given: 1})
+
+
+def test_kinds_of_keywords() -> None:
+    given = {"method": "rift", "seed": 1, "workers": 2, "nodata": 0, "fsc.threshold": 2.0, "block": 300, "progress": 1}
+    assert of_pipeline(given) == {"method": "rift", "fsc.threshold": 2.0}
+    assert deciding(given) == {k: v for k, v in given.items() if k not in ("workers", "progress")}
+    assert of_keypoints({**given, "filters": "fsc"}) == {"method": "rift", "nodata": 0, "fsc.threshold": 2.0}
+
+
+@pytest.mark.parametrize(
+    "keywords",
+    [{"focus": "auto"}, {"block": 300}, {"workers": 2}, {"threads": 1}, {"height": 20.0}, {"block": False},
+     {"executor": "serial"}, {"reference_mask": np.ones((300, 300), np.bool_)}],
+)  # fmt: skip
+def test_an_experiment_takes_what_match_takes(keywords: dict[str, Any], pair: SimulatedPair) -> None:
+    experiment = featreg.Experiment([(pair.reference, pair.secondary)], ["sar-orb"], keywords)
+    experiment.check()
+    assert experiment.labelled()["sar-orb"].keywords.items() >= keywords.items()
+
+
+@pytest.mark.parametrize(
+    ("keywords", "text"),
+    [
+        ({"block": False, "height": 3.0}, "is for blocks"),
+        ({"focus": "best"}, "unknown autofocus method"),
+        ({"workers": 0}, "workers must be"),
+        ({"threads": True}, "threads must be"),
+        ({"search_radius": 3.0}, "needs initial"),
+        ({"blok": 3}, "'block'"),
+    ],
+)
+def test_an_experiment_refuses_what_match_refuses(keywords: dict[str, Any], text: str, pair: SimulatedPair) -> None:
+    with pytest.raises(ParameterError, match=text):
+        featreg.Experiment([(pair.reference, pair.secondary)], ["sar-orb"], keywords).check()
+    with pytest.raises(ParameterError, match=text):
+        check_keywords(keywords)
+
+
+# What does nothing is refused
+
+
+@pytest.mark.parametrize(
+    ("keywords", "text"),
+    [
+        ({"method": "rc-obcls", "detector": "fast"}, "detector does nothing here: 'rc-obcls' makes tie points by"),
+        ({"method": "cls", "descriptor": "brief"}, "matcher 'patch-grid'"),
+        ({"matcher": "patch-grid", "nearest": "brute-force"}, "nearest does nothing"),
+        ({"method": "rc-obcls", "common_rotation": True}, "common_rotation is for methods that describe"),
+        ({"refine": False, "refine.half": 20}, "does nothing without refinement"),
+        ({"method": "orb", "refine": False, "half": 20}, "does nothing without refinement"),
+        ({"trust.block_share": 0.5}, "limit of scenes in blocks"),
+        ({"height": 10.0}, "height does nothing here: array does not say where it lies"),
+        ({"height": 10.0, "initial": np.eye(3), "search_radius": 9.0}, "the prior is the initial model"),
+        ({"block": False, "dem": "dem.tif"}, "is for blocks"),
+        ({"focus": "auto"}, "both images are real"),
+    ],
+)
+def test_a_keyword_that_does_nothing_is_refused(keywords: dict[str, Any], text: str, pair: SimulatedPair) -> None:
+    with pytest.raises((ParameterError, featreg.FeatregError), match=text):
+        featreg.match(pair.reference, pair.secondary, **keywords)
+
+
+def test_a_parameter_that_is_called_like_a_part_belongs_to_the_matcher() -> None:
+    pipeline = assemble("optical-sar", detector="sar-harris", descriptor="ratio-gloh")
+    assert pipeline.parameters["matcher"]["detector"] == "sar-harris"
+    with pytest.raises(ParameterError, match="optical-sar"):
+        assemble("optical-sar", matcher="patch-grid", detector="fast")
+
+
+def test_a_detector_is_no_method() -> None:
+    with pytest.raises(UnknownNameError, match="detector"):
+        assemble("sar-ofast")
+
+
+# How the work is run
+
+
+@pytest.mark.parametrize(
+    "how",
+    [{"workers": 1}, {"threads": 1}, {"executor": "serial"}, {"executor": "threads", "workers": 2},
+     {"progress": lambda done, total: None}, {"cancel": threading.Event()}],
+)  # fmt: skip
+def test_how_the_work_is_run_changes_nothing(how: dict[str, Any], pair: SimulatedPair) -> None:
+    plain = featreg.match(pair.reference, pair.secondary, n_features=500)
+    made = featreg.match(pair.reference, pair.secondary, n_features=500, **how)
+    np.testing.assert_array_equal(made.matches.secondary_xy, plain.matches.secondary_xy)
+    assert "blocks" not in made.provenance
+
+
+def test_resume_of_whole_images_keeps_nothing_and_says_so(
+    pair: SimulatedPair, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    made = featreg.match(pair.reference, pair.secondary, n_features=500, resume=tmp_path / "kept")
+    assert made.status == "ok"
+    assert not (tmp_path / "kept").exists()
+    assert "matched whole" in caplog.text
+
+
+@pytest.mark.parametrize("name", ["workers", "threads"])
+@pytest.mark.parametrize("value", [0, -1, 1.5, True, "2"])
+def test_impossible_numbers_of_workers_are_refused_on_whole_images(name: str, value: Any, pair: SimulatedPair) -> None:
+    with pytest.raises(ParameterError, match=f"{name} must be"):
+        featreg.match(pair.reference, pair.secondary, **{name: value})
+
+
+def test_progress_of_whole_images_counts_to_the_end(pair: SimulatedPair) -> None:
+    seen: list[tuple[int, int]] = []
+    featreg.match(pair.reference, pair.secondary, progress=lambda done, total: seen.append((done, total)))
+    assert seen == [(i, 5) for i in range(1, 6)]
+
+
+@pytest.mark.parametrize("after", [0, 1, 3])
+def test_whole_images_are_cancelled_between_stages(after: int, pair: SimulatedPair) -> None:
+    event = threading.Event()
+    steps: list[int] = []
+
+    def progress(done: int, total: int) -> None:
+        steps.append(done)
+        if done == after:
+            event.set()
+
+    if after == 0:
+        event.set()
+    with pytest.raises(CancelledError):
+        featreg.match(pair.reference, pair.secondary, progress=progress, cancel=event)
+    assert steps == list(range(1, after + 1))
+    # Nothing of it stays: the next call runs to its end.
+    assert featreg.match(pair.reference, pair.secondary).status == "ok"
+
+
+def test_a_small_file_is_opened_once(located_pair: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    import rasterio
+
+    opened: list[str] = []
+    real = rasterio.open
+
+    def counted(path: Any, *arguments: Any, **keywords: Any) -> Any:
+        opened.append(Path(path).name)
+        return real(path, *arguments, **keywords)
+
+    monkeypatch.setattr("rasterio.open", counted)
+    featreg.match(located_pair.reference, located_pair.secondary, n_features=300)
+    assert sorted(opened) == ["reference.tif", "secondary.tif"]
+
+
+def test_a_part_is_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    from featreg import registry
+
+    made: list[str] = []
+    real = registry.create
+
+    def counted(kind: Any, name: str, **parameters: Any) -> Any:
+        made.append(name)
+        return real(kind, name, **parameters)
+
+    monkeypatch.setattr(registry, "create", counted)
+    assemble("rc-obcls")
+    assemble("sar-orb")
+    assert sorted(made) == ["brief", "brute-force", "fsc", "gms", "mad", "sar-ofast", "target-centroids"]
+
+
+# Filters in blocks
+
+
+class Seen(Filter):
+    """Keeps everything, and remembers what it was told."""
+
+    def __init__(self) -> None:
+        self.calls: list[tuple[int, Any, tuple[int, int]]] = []
+
+    def keep(self, matches: Matches, context: FilterContext) -> BoolArray:
+        there = None if context.initial is None else context.initial(matches.reference_xy) - matches.secondary_xy
+        self.calls.append((len(matches), there, context.reference_shape))
+        return np.ones(len(matches), np.bool_)
+
+
+class LocalSeen(Seen):
+    """The same, in every block."""
+
+    local = True
+
+
+def in_blocks(pair: SimulatedPair, filters: list[Any], **more: Any) -> featreg.Registration:
+    return featreg.match(
+        pair.reference, pair.secondary, filters=filters, block=150, workers=1, n_features=400, refine=False,
+        initial=pair.truth, search_radius=20.0, **more,
+    )  # fmt: skip
+
+
+def test_filters_run_in_the_order_asked_for_in_blocks_too(pair: SimulatedPair) -> None:
+    first, then = Seen(), LocalSeen()
+    made = in_blocks(pair, [first, then])
+    assert list(made.stages) == ["prior", "initial", "seen", "localseen"]
+    # A filter that looks at neighbourhoods runs over all where one that looks at everything ran before it.
+    assert len(first.calls) == len(then.calls) == 1
+    assert then.calls[0][2] == pair.reference.shape
+    swapped = in_blocks(pair, [LocalSeen(), Seen()])
+    assert list(swapped.stages) == ["prior", "localseen", "initial", "seen"]
+
+
+def test_a_filter_knows_the_initial_model_in_the_pixels_of_its_block(pair: SimulatedPair) -> None:
+    keeper = LocalSeen()
+    in_blocks(pair, [keeper, "fsc"])
+    told = [(count, off, shape) for count, off, shape in keeper.calls if count]
+    assert len(told) > 4
+    for _, off, shape in told:
+        assert shape != pair.reference.shape
+        assert off is not None
+        # What the prior kept lies near the truth, seen in the windows of the block as in the whole images.
+        assert np.median(np.hypot(*off.T)) < 3
+
+
+# Digests
+
+
+def key(cache: PredictionCache, **keywords: Any) -> str | None:
+    return cache.key("pair", (np.zeros(3),), keywords)
+
+
+def test_the_digest_knows_what_decides_and_nothing_else(tmp_path: Path) -> None:
+    cache = PredictionCache(tmp_path)
+    plain = key(cache, method="sar-orb", seed=0)
+    assert plain is not None
+    same = {"workers": 3, "executor": "threads", "threads": 1, "resume": "kept", "progress": print, "scheduler": None}
+    assert key(cache, method="sar-orb", seed=0, **same) == plain
+    for other in ({"seed": 1}, {"block": 300}, {"height": 2.0}, {"focus": "auto"}, {"nodata": 0}, {"alpha": 2.5}):
+        assert key(cache, **{"method": "sar-orb", "seed": 0, **other}) != plain
+    assert cache.key("pair", (np.zeros(3),), {"method": "sar-orb", "seed": 0}, "keypoints") != plain
+
+
+def test_the_digest_knows_the_code_of_parts_that_a_matcher_names() -> None:
+    found = _modules({"method": "optical-sar"})
+    wanted = {"matchers.scale_search", "detectors.rift", "descriptors.max_index_map", "matchers.brute_force"}
+    assert {f"featreg.{name}" for name in wanted} <= found
+    changed = _modules({"method": "optical-sar", "detector": "sar-harris"})
+    assert "featreg.detectors.sar_harris" in changed
+    assert "featreg.detectors.rift" not in changed
+
+
+def test_keypoints_are_those_that_the_method_looks_at(pair: SimulatedPair) -> None:
+    found = keypoints_of(pair.reference, method="sar-orb", n_features=50)
+    assert found is not None
+    assert found.shape == (50, 2)
+    assert keypoints_of(pair.reference, method="rc-obcls") is None
+
+
+def test_keypoints_of_focused_images_are_those_after_focusing(pair: SimulatedPair) -> None:
+    image = pair.reference.astype(np.complex64)
+    moved = np.roll(image, 10, axis=0)
+
+    def focused(given: featreg.Image) -> featreg.FocusResult:
+        return replace(featreg.focus(given, "mea"), image=moved, status="ok", reason="")
+
+    found = keypoints_of(image, method="orb", n_features=40, focus=focused)
+    wanted = keypoints_of(moved, method="orb", n_features=40)
+    assert found is not None
+    np.testing.assert_array_equal(found, wanted)
