@@ -45,8 +45,9 @@ def test_every_option_that_is_declared_is_one_of_the_command(capsys: pytest.Capt
     [("resum", "resume"), ("methd", "method"), ("cancl", "cancel"), ("blok", "block"), ("thread", "threads")],
 )
 def test_a_misspelt_keyword_is_told_the_nearest(given: str, near: str, pair: SimulatedPair) -> None:
+    keyword: dict[str, Any] = {given: 1}
     with pytest.raises(ParameterError, match=f"'{near}'"):
-        featreg.match(pair.reference, pair.secondary, **{given: 1})
+        featreg.match(pair.reference, pair.secondary, **keyword)
 
 
 def test_kinds_of_keywords() -> None:
