@@ -29,11 +29,11 @@ from featreg.runtime.cluster import dask_client
 from featreg.runtime.threads import limited_threads, worker_count
 from featreg.runtime.timing import collecting, stage
 from featreg.runtime.watching import Canceller, Progress, cancellable
+from featreg.scene.blocks import BLOCK
 from featreg.types import FloatArray, Image, Matches
 
-#: Images of more pixels are worked on in blocks of so many pixels a side.
+#: Images of more pixels are worked on in blocks.
 MOST_PIXELS = 4_000_000
-BLOCK = 600
 
 logger = logging.getLogger(__name__)
 

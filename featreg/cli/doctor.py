@@ -10,7 +10,6 @@ import shutil
 import sys
 import textwrap
 from collections.abc import Mapping
-from importlib.metadata import PackageNotFoundError, requires
 from typing import Annotated, Any
 
 import typer
@@ -105,6 +104,8 @@ def missing_extras() -> Mapping[str, Mapping[str, Any]]:
 
     The extras are those that the installed package declares.
     """
+    from importlib.metadata import PackageNotFoundError, requires
+
     found: dict[str, list[str]] = {}
     try:
         needed = requires("featreg") or []

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import platform
 from functools import lru_cache
-from importlib.metadata import PackageNotFoundError, version
 
 from featreg._version import __version__
 
@@ -26,6 +25,8 @@ def versions() -> dict[str, str]:
 
 def version_of(name: str) -> str | None:
     """The version of an installed distribution; None where it is not installed."""
+    from importlib.metadata import PackageNotFoundError, version
+
     try:
         return version(name)
     except PackageNotFoundError:

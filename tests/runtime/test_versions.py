@@ -41,7 +41,7 @@ def test_opencv_is_recorded_under_whatever_name_it_was_installed(name: str, monk
             return "9.9.9.9"
         return real(given)
 
-    monkeypatch.setattr(module, "version", installed)
+    monkeypatch.setattr(importlib.metadata, "version", installed)
     monkeypatch.setattr(cv2, "__version__", "9.9.9")
     assert versions()["opencv"] == "9.9.9"
     xy = np.random.default_rng(0).uniform(0, 100, (40, 2))
