@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg import registry
-from featreg.errors import ParameterError, suggest
+from featreg.errors import ParameterError
 from featreg.interfaces import Descriptor, Detector
 from featreg.io.images import as_image, image_or_none
+from featreg.runtime.parameters import owner_of
 from featreg.types import Features, Image
 
 #: OpenCV's NORM_... and CV_... of our norms: NORM_L2 and CV_32F, NORM_HAMMING and CV_8U.
@@ -59,7 +60,7 @@ def extractor(detector: str | Detector, descriptor: str | Descriptor | None = No
     if descriptor is not None and "detector" in entries and entries["detector"].describes:
         given["detector"][entries["detector"].describes] = False
     for key, value in parameters.items():
-        role, short = _owner(key, known)
+        role, short = owner_of(key, known, "neither detector nor descriptor")
         given[role][short] = value
     if isinstance(detector, str):
         detector = registry.create("detector", detector, **given["detector"])
@@ -137,15 +138,3 @@ class Extractor:
             name = type(self.detector).__name__
             raise ParameterError(f"detector {name} gives no descriptors: choose one, as in descriptor='brief'")
         return self.descriptor.describe_features(image, features)
-
-
-def _owner(key: str, known: dict[str, set[str]]) -> tuple[str, str]:
-    """(role, name) of the part to which a parameter belongs."""
-    part, _, short = key.rpartition(".")
-    owners = [role for role, names in known.items() if short in names and part in ("", role)]
-    if len(owners) == 1:
-        return owners[0], short
-    if owners:
-        raise ParameterError(f"'{key}' is ambiguous: write " + " or ".join(f"'{role}.{short}'" for role in owners))
-    names = {f"{role}.{name}" if part else name for role, own in known.items() for name in own}
-    raise ParameterError(f"neither detector nor descriptor has a parameter '{key}', {suggest(key, names)}")

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from featreg import registry
-from featreg.errors import ParameterError, suggest
+from featreg.errors import ParameterError
 from featreg.interfaces import Descriptor, Detector, Filter, Matcher, Model, Nearest
 from featreg.pipeline import keywords as declared
 from featreg.pipeline.feature_matcher import FeatureMatcher
@@ -19,7 +19,7 @@ from featreg.pipeline.pipeline import Pipeline
 from featreg.pipeline.refine import Refine
 from featreg.pipeline.trust import Limits
 from featreg.presets import PRESETS, Part, Preset
-from featreg.runtime.parameters import check
+from featreg.runtime.parameters import check, owner_of
 
 DEFAULT_METHOD = "sar-orb"
 DEFAULT_MODEL = "affine"
@@ -244,26 +244,14 @@ def _route(
         **{role: (slot.parameters, slot.known) for role, slot in slots.items()},
     }
     for key, value in keywords.items():
-        owner, short = _owner(key, {role: known for role, (_, known) in takers.items()})
+        known = {role: names for role, (_, names) in takers.items()}
+        owner, short = owner_of(key, known, "no part of this method", declared.BY_NAME)
         if owner == "refine" and not refine:
             raise ParameterError(f"'{key}' does nothing without refinement: leave it out, or ask for it (refine=True)")
         if owner == "trust" and short in BLOCK_LIMITS and blocks is False:
             raise ParameterError(f"'{key}' is a limit of scenes in blocks, these are whole images: leave it out")
         takers[owner][0][short] = value
     return Refine(**refinement), Limits(**trust)
-
-
-def _owner(key: str, takers: Mapping[str, Iterable[str]]) -> tuple[str, str]:
-    """The part that has a parameter, and the parameter's own name."""
-    part, _, short = key.rpartition(".")
-    owners = [role for role, known in takers.items() if short in known and part in ("", role)]
-    if len(owners) == 1:
-        return owners[0], short
-    if owners:
-        raise ParameterError(f"'{key}' is ambiguous: write " + " or ".join(f"'{role}.{short}'" for role in owners))
-    whole = [f"{role}.{name}" for role, known in takers.items() for name in known]
-    known = whole if part else [*declared.BY_NAME, *(name for names in takers.values() for name in names)]
-    raise ParameterError(f"no part of this method has a parameter '{key}', {suggest(key, set(known))}")
 
 
 def _matcher(slots: Mapping[str, _Slot], budget: int, common_rotation: bool) -> Matcher:

@@ -14,7 +14,7 @@ import math
 import operator
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cache, wraps
 from types import SimpleNamespace, UnionType
@@ -23,7 +23,7 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 import numpy as np
 from annotated_types import Ge, GroupedMetadata, Gt, Interval, Le, Lt, MultipleOf, Predicate
 
-from featreg.errors import ParameterError
+from featreg.errors import ParameterError, suggest
 
 #: What values of a kind are, in words and as types. A bool is no number.
 KINDS: Mapping[type, tuple[str, tuple[type, ...]]] = {
@@ -183,6 +183,31 @@ def checked(owner: str) -> Callable[[Thing], Thing]:
         return thing
 
     return decorate
+
+
+def owner_of(key: str, parts: Mapping[str, Iterable[str]], nobody: str, also: Iterable[str] = ()) -> tuple[str, str]:
+    """Return the part to which a parameter belongs, and the parameter's own name.
+
+    Parameters
+    ----------
+    key : ``name`` or ``part.name``
+    parts : part -> its parameters
+    nobody : who has no such parameter, for the message
+    also : further names that a misspelt one may have meant
+
+    Raises
+    ------
+    ParameterError
+        No part has it, or more than one.
+    """
+    part, _, short = key.rpartition(".")
+    owners = [role for role, names in parts.items() if short in names and part in ("", role)]
+    if len(owners) == 1:
+        return owners[0], short
+    if owners:
+        raise ParameterError(f"'{key}' is ambiguous: write " + " or ".join(f"'{role}.{short}'" for role in owners))
+    names = {f"{role}.{name}" if part else name for role, own in parts.items() for name in own}
+    raise ParameterError(f"{nobody} has a parameter '{key}', {suggest(key, names | (set() if part else set(also)))}")
 
 
 def described(doc: str) -> dict[str, str]:
