@@ -86,11 +86,20 @@ def differences(before: Path, after: Path) -> tuple[int, dict[str, list[str]]]:
     for name in names:
         sides = [dict(_flat(_read(folder / name))) for folder in (before, after)]
         for key in sorted(set().union(*sides)):
-            if key.startswith(NEVER_EQUAL):
-                continue
-            if sides[0].get(key, "absent") != sides[1].get(key, "absent"):
-                found[key].append(name.removesuffix(".json"))
+            if not key.startswith(NEVER_EQUAL) and sides[0].get(key, "absent") != sides[1].get(key, "absent"):
+                # What one side lacks as a whole is named once.
+                lacking = [_lacking(key, side) for side in sides if key not in side]
+                runs = found[f"{lacking[0]} (one side only)" if lacking else key]
+                if name.removesuffix(".json") not in runs:
+                    runs.append(name.removesuffix(".json"))
     return len(names), dict(found)
+
+
+def _lacking(key: str, side: dict[str, str]) -> str:
+    """The shortest beginning of a dotted key that no key of a side has."""
+    parts = key.split(".")
+    heads = (".".join(parts[: end + 1]) for end in range(len(parts)))
+    return next(head for head in heads if not any(f"{other}.".startswith(f"{head}.") for other in side))
 
 
 def _read(path: Path) -> Any:
