@@ -62,7 +62,7 @@ def measured(place: Path, workers: int, block: int) -> dict[str, Any]:
     """Run the command on a pair; what it took and how well it did."""
     out = place / "result.json"
     images = [str(place / "reference.tif"), str(place / "secondary.tif")]
-    command = [sys.executable, "-m", "featreg.cli", "match", *images, "--dem", str(place / "dem.tif")]
+    command = [sys.executable, "-m", "featreg", "match", *images, "--dem", str(place / "dem.tif")]
     command += ["--model", "rpc-bias", "--block", str(block), "--workers", str(workers), "--json", str(out)]
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     start = time.perf_counter()

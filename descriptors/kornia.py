@@ -16,7 +16,7 @@ from annotated_types import Ge, Gt
 
 from featreg.interfaces import Descriptor
 from featreg.interop.family import WEIGHTS, option, register_table
-from featreg.interop.kornia import COMMON, KorniaPart, KorniaRow, import_kornia
+from featreg.interop.kornia import COMMON, KorniaMember, KorniaRow, import_kornia
 from featreg.interop.opencv import inside
 from featreg.interop.torch_arrays import inference, to_tensor
 from featreg.types import Features, Image
@@ -87,7 +87,7 @@ TABLE: dict[str, KorniaRow] = {
 
 
 @register_table
-class KorniaDescriptor(KorniaPart, Descriptor):
+class KorniaDescriptor(KorniaMember, Descriptor):
     """One descriptor of kornia: a row of the table by name, and its parameters."""
 
     table = TABLE

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from featreg.errors import InputError
 from featreg.interfaces import Descriptor
-from featreg.interop.family import Part, option, register_table
+from featreg.interop.family import Member, option, register_table
 from featreg.interop.opencv import (
     HALF_PIXEL,
     LEVELS,
@@ -185,7 +185,7 @@ TABLE: dict[str, DescriptorAlgorithm] = {
 
 
 @register_table
-class OpenCVDescriptor(Part, Descriptor):
+class OpenCVDescriptor(Member, Descriptor):
     """One descriptor of OpenCV: a row of the table by name, and its parameters."""
 
     table = TABLE

@@ -20,7 +20,7 @@ from annotated_types import Ge, Gt
 
 from featreg.interfaces import Detector
 from featreg.interop.family import DESCRIBE, N_FEATURES, WEIGHTS, best_first, option, register_table
-from featreg.interop.kornia import COMMON, KorniaPart, KorniaRow, import_kornia
+from featreg.interop.kornia import COMMON, KorniaMember, KorniaRow, import_kornia
 from featreg.interop.opencv import MIN_SIDE, grey, on_data
 from featreg.interop.torch_arrays import inference, to_tensor
 from featreg.runtime.optional import import_torch
@@ -240,7 +240,7 @@ TABLE: dict[str, KorniaRow] = {
 
 
 @register_table
-class KorniaDetector(KorniaPart, Detector):
+class KorniaDetector(KorniaMember, Detector):
     """One detector of kornia: a row of the table by name, and its parameters."""
 
     table = TABLE

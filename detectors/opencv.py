@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from featreg.interfaces import Detector
-from featreg.interop.family import N_FEATURES, Option, Part, best_first, option, register_table
+from featreg.interop.family import N_FEATURES, Member, Option, best_first, option, register_table
 from featreg.interop.opencv import (
     HALF_PIXEL,
     LEVELS,
@@ -217,7 +217,7 @@ TABLE: dict[str, DetectorAlgorithm] = {
 
 
 @register_table
-class OpenCVDetector(Part, Detector):
+class OpenCVDetector(Member, Detector):
     """One detector of OpenCV: a row of the table by name, and its parameters."""
 
     table = TABLE

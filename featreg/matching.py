@@ -18,7 +18,7 @@ from featreg.interfaces import Matcher, Model
 from featreg.io import ImageLike, as_image
 from featreg.io.images import small_image
 from featreg.io.masks import MaskLike
-from featreg.io.raster_source import ImageSource, open_source
+from featreg.io.raster_source import open_source
 from featreg.pipeline.assembly import DEFAULT_METHOD, assemble, assemble_fit
 from featreg.pipeline.feature_matcher import FeatureMatcher
 from featreg.pipeline.keywords import of_pipeline
@@ -26,9 +26,10 @@ from featreg.pipeline.pipeline import Pipeline
 from featreg.results.input_image import InputImage
 from featreg.results.registration import Registration
 from featreg.runtime.cluster import dask_client
+from featreg.runtime.executors import check_executor
 from featreg.runtime.threads import limited_threads, worker_count
 from featreg.runtime.timing import collecting, stage
-from featreg.runtime.watching import Canceller, Progress, cancellable
+from featreg.runtime.watching import Canceller, Progress, cancellable, check_watch
 from featreg.scene.blocks import BLOCK
 from featreg.types import FloatArray, Image, Matches
 
@@ -90,10 +91,10 @@ def match(
         ellipsoid (default 0); in blocks only
     executor, workers : what runs the blocks: "serial", "threads", "processes", a `concurrent.futures.Executor` or a
         `dask.distributed.Client`; None takes `workers` processes (default: every processor) where they can be forked
-        safely, else threads. Of whole images `workers` is the most threads of the libraries. How the work is run, by
+        safely, else threads. Of whole images `workers` is the most threads of OpenCV. How the work is run, by
         these and those below, never changes the result
     scheduler : address of a dask scheduler that runs the blocks, in place of `executor`
-    threads : most threads of the libraries on whole images, in place of `workers`; a worker uses one
+    threads : most threads of OpenCV on whole images, in place of `workers`; a worker uses one
     resume : folder in which finished blocks are kept, and looked for; of whole images nothing is kept
     progress : called with (blocks done, blocks in all), of whole images with (steps done, steps in all)
     cancel : an event; when set, the work stops between blocks or stages with a `CancelledError`
@@ -112,8 +113,7 @@ def match(
         `cancel` was set.
     """
     check_seed(seed)
-    worker_count(workers)
-    worker_count(threads, name="threads")
+    _check_running(workers=workers, threads=threads, executor=executor, progress=progress, cancel=cancel)
     known = _initial(initial, search_radius)
     search: Any = {"seed": int(seed), "initial": known, "search_radius": search_radius}
     parts: Any = {"model": model, "refine": refine, "n_features": n_features, **keywords}
@@ -123,24 +123,22 @@ def match(
     reading: Any = {"nodata": nodata, "scale": scale}
     images: list[Image | None] = [None, None]
     with cancellable(cancel), collecting() as seconds, stage("read"):
-        if not size:
-            images = [small_image(i, most, mask=m, **reading) for i, m in zip(given, masks, strict=True)]
+        for i in range(0 if size else 2):
+            images[i] = small_image(given[i], most, mask=masks[i], **reading)
+            if images[i] is None:
+                break
     first, second = images
-    with dask_client(scheduler, executor) as runner:
-        if first is None or second is None:
-            if focus is not None:
-                raise ParameterError(
-                    "focus works on whole images, not on blocks: focus the files first (featreg focus IN -o OUT), or "
-                    "ask for the whole images at once (block=False, --whole)"
-                )
-            from featreg.scene.run import SceneOptions, match_scene
-
-            here, there = (
-                # A file is read by windows even where it was small enough to be read whole beside a large one.
-                open_source(i, mask=m, **reading) if image is None or isinstance(i, str | Path) else ImageSource(image)
-                for i, m, image in zip(given, masks, images, strict=True)
+    if first is None or second is None:
+        if focus is not None:
+            raise ParameterError(
+                "focus works on whole images, not on blocks: focus the files first (featreg focus IN -o OUT), or ask "
+                "for the whole images at once (block=False, --whole)"
             )
-            pipeline = assemble(method, blocks=True, **parts)
+        from featreg.scene.run import SceneOptions, match_scene
+
+        here, there = (open_source(i, mask=m, **reading) for i, m in zip(given, masks, strict=True))
+        pipeline = assemble(method, blocks=True, **parts)
+        with dask_client(scheduler, executor) as runner:
             options = SceneOptions(size or BLOCK, runner, workers, dem, height, resume, progress, cancel)
             return match_scene(here, there, pipeline, options, **search)
     pipeline = assemble(method, **parts)
@@ -206,9 +204,9 @@ def keypoints_of(
 ) -> FloatArray | None:
     """(N, 2) keypoints that a method looks at in an image, at most its budget; None where it has no detector.
 
-    `mask` is that of this image; the other keywords are those of `match` on which keypoints depend.
+    `mask` is that of this image; the other keywords are those of `match` that build the pipeline.
     """
-    matcher = assemble(**keywords).matcher
+    matcher = assemble(**keywords, blocks=None).matcher
     if not isinstance(matcher, FeatureMatcher):
         return None
     whole = as_image(image, mask=mask, nodata=nodata, scale=scale)
@@ -228,12 +226,19 @@ def check_keywords(keywords: Mapping[str, Any]) -> None:
     known = {name: value for name, value in keywords.items() if value is not None}
     check_seed(known.get("seed", 0))
     size = block_side(known.get("block"), known.get("dem"), known.get("height"), known.get("model"))
-    worker_count(known.get("workers"))
-    worker_count(known.get("threads"), name="threads")
+    _check_running(**{name: known.get(name) for name in ("workers", "threads", "executor", "progress", "cancel")})
     if isinstance(known.get("focus"), str):
         check_method(known["focus"])
     _initial(known.get("initial"), known.get("search_radius"))
     assemble(**of_pipeline(keywords), blocks=None if size is None else bool(size))
+
+
+def _check_running(*, workers: Any, threads: Any, executor: Any, progress: Any, cancel: Any) -> None:
+    """Raise where the work cannot be run so, whether or not this call would come to it."""
+    worker_count(workers)
+    worker_count(threads, name="threads")
+    check_executor(executor)
+    check_watch(progress, cancel)
 
 
 def block_side(block: Any, dem: Any, height: Any, model: Any) -> int | None:

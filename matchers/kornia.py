@@ -16,7 +16,7 @@ from annotated_types import Ge
 from featreg.errors import ParameterError
 from featreg.interfaces import Matcher, Nearest
 from featreg.interop.family import N_FEATURES, WEIGHTS, option, register_table
-from featreg.interop.kornia import COMMON, RUN, KorniaPart, KorniaRow, import_kornia
+from featreg.interop.kornia import COMMON, RUN, KorniaMember, KorniaRow, import_kornia
 from featreg.interop.torch_arrays import as_device, inference, to_tensor
 from featreg.runtime.optional import import_torch
 from featreg.runtime.timing import stage
@@ -187,7 +187,7 @@ MATCHERS: dict[str, KorniaRow] = {
 
 
 @register_table
-class KorniaNearest(KorniaPart, Nearest):
+class KorniaNearest(KorniaMember, Nearest):
     """One way of kornia to pair descriptors: a row of the table by name, and its parameters."""
 
     table = TABLE
@@ -227,7 +227,7 @@ class KorniaNearest(KorniaPart, Nearest):
 
 
 @register_table
-class KorniaMatcher(KorniaPart, Matcher):
+class KorniaMatcher(KorniaMember, Matcher):
     """One matcher of kornia that needs no keypoints: a row of the table by name, and its parameters."""
 
     table = MATCHERS

@@ -105,8 +105,9 @@ class ScaleSearch(Matcher):
 
     def match(self, reference: Image, secondary: Image) -> Matches:
         """Return the matches at the best scale; empty where no scale has a consensus, or where two rival ones do."""
+        matcher = self._matcher(self.trial_features)
         trials = [
-            self._at(reference, secondary, ratio, size, self.trial_features)
+            self._at(reference, secondary, ratio, size, matcher)
             for size in self._sizes(reference, secondary)
             for ratio in self.ratios
         ]
@@ -119,8 +120,9 @@ class ScaleSearch(Matcher):
             logger.info("no matches: %d cells agree on one alignment, %d on quite another", best.cells, rival)
             return Matches.empty()
         # The finer the pixels, the more precise are the matches, as long as the structures are still seen in them.
+        matcher = self._matcher(self.n_features)
         for size in [s for s in self._sizes(reference, secondary) if s >= best.size]:
-            final = self._at(reference, secondary, best.scale, size, self.n_features)
+            final = self._at(reference, secondary, best.scale, size, matcher)
             least = best.cells if size == best.size else ENOUGH * best.cells
             if final is not None and final.cells > least and _agree(final.model, best.model, reference):
                 return final.matches
@@ -131,13 +133,15 @@ class ScaleSearch(Matcher):
         shorter = min(*reference.shape, *secondary.shape)
         return [0.5**i for i in range(self.halvings + 1) if i == 0 or shorter * 0.5**i >= HALVED_SIDE]
 
-    def _at(self, reference: Image, secondary: Image, ratio: float, size: float, budget: int) -> _Trial | None:
+    def _at(
+        self, reference: Image, secondary: Image, ratio: float, size: float, matcher: FeatureMatcher
+    ) -> _Trial | None:
         """What is found at one ratio, None where no similarity of about that scale has a consensus."""
         first = _reduced(reference, size * min(ratio, 1.0))
         second = _reduced(secondary, size * min(1.0 / ratio, 1.0))
         if min(*first.shape, *second.shape) < SMALLEST:
             return None
-        found = self._matcher(budget).match(first, second)
+        found = matcher.match(first, second)
         here, there = to_base(found.reference_xy, first, reference), to_base(found.secondary_xy, second, secondary)
         with stage("scale"):
             rng = np.random.default_rng(self.seed)

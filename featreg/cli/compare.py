@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from featreg.cli import study
-from featreg.cli.option_sets import takes
+from featreg.cli import comparison_options
+from featreg.cli.comparison_options import OutputOptions, RunOptions
+from featreg.cli.option_sets import offered, takes
 from featreg.cli.options import MethodOptions, parse_settings
-from featreg.cli.study import OutputOptions, RunOptions
 from featreg.errors import FeatregError, ParameterError
 
 if TYPE_CHECKING:
@@ -75,21 +75,21 @@ def compare(
             raise ParameterError("missing option '--methods'; see 'featreg compare --help'")
         from featreg.study.experiment import Experiment
 
-        parameters = parse_settings(method.settings, (*method.keywords(), "method", "seed"))
+        parameters = parse_settings(method.settings, {"method"} | offered(MethodOptions, RunOptions, OutputOptions))
         names = _names(methods)
         found = Experiment(
-            study.pairs_of(images or [], how.truth or []),
+            comparison_options.pairs_of(images or [], how.truth or []),
             _usable(parameters) if names == [ALL] else names,
             parameters,
             seeds=how.seeds(method),
             protocol=how.protocol(method),
-            metrics=study.metrics_of(how.metrics, layout),
+            metrics=comparison_options.metrics_of(how.metrics, layout),
         )
-    study.run(found, how, output, "comparing", layout)
+    comparison_options.run(found, how, output, "comparing", layout)
 
 
 def _names(methods: str) -> list[str]:
-    return study.words(methods, "--methods", "sar-orb,orb")
+    return comparison_options.words(methods, "--methods", "sar-orb,orb")
 
 
 def _usable(parameters: dict[str, Any]) -> list[str]:
@@ -127,7 +127,7 @@ def _from_file(path: str, metrics: str | None, layout: str | None, times: bool |
     found = Experiment.from_file(path)
     names = list(found.metrics if metrics is None else ())
     if metrics is not None or layout is not None:
-        more = study.metrics_of(metrics, layout)
+        more = comparison_options.metrics_of(metrics, layout)
         kept = [*names, *(n for n in more if n not in names)] if metrics is None or metrics.startswith("+") else more
         found = dataclasses.replace(found, metrics=tuple(kept))
     if times is not None:

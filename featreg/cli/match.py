@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from featreg.cli.block_options import BlockOptions, block_progress, image_to_draw, kept_when_interrupted, may_be_blocks
 from featreg.cli.option_sets import takes
 from featreg.cli.options import (
     MethodOptions,
@@ -16,7 +18,6 @@ from featreg.cli.options import (
     progress,
     whole_number,
 )
-from featreg.cli.scene import BlockOptions, block_progress, image_to_draw, kept_when_interrupted, may_be_blocks
 from featreg.errors import InputError, ParameterError
 from featreg.pipeline.keywords import KEYWORDS
 from featreg.runtime.threads import limited_threads
@@ -147,8 +148,16 @@ def match(
             there, far_factor = image_to_draw(secondary, mask_secondary, common.nodata, common.scale)
             draw_registration(here, there, result, plot, factors=(factor, far_factor))
             written.append(plot)
-    typer.echo(summary(result, written))
+    # What goes to standard output itself may be read by a machine.
+    typer.echo(summary(result, written), err=json_file is not None and _is_stdout(json_file))
     raise typer.Exit(0 if result.status == "ok" else 3)
+
+
+def _is_stdout(path: str) -> bool:
+    try:
+        return os.path.samestat(os.stat(path), os.fstat(1)) and not os.path.isfile(path)
+    except OSError:
+        return False
 
 
 def summary(result: Registration, written: list[str]) -> str:

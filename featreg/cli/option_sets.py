@@ -14,6 +14,11 @@ from collections.abc import Callable
 from typing import Any, get_type_hints
 
 
+def offered(*sets: type) -> set[str]:
+    """The names of the options of option sets."""
+    return {field.name for kind in sets for field in dataclasses.fields(kind)}
+
+
 def takes(command: Callable[..., None]) -> Callable[..., None]:
     """Return a command whose parameters that are option sets are replaced by the sets' fields."""
     hints = get_type_hints(command, include_extras=True)

@@ -146,9 +146,8 @@ def parse_settings(given: Sequence[str] | None, offered: Iterable[str]) -> dict[
         if not sign or not key:
             raise ParameterError(f"--set takes KEY=VALUE, as in --set fsc.threshold=2, got '{text}'")
         if key in offered:
-            raise ParameterError(
-                f"'{key}' has an option of its own: write {BY_NAME[key].option} instead of --set {text}"
-            )
+            option = BY_NAME[key].option if key in BY_NAME else f"--{key.replace('_', '-')}"
+            raise ParameterError(f"'{key}' has an option of its own: write {option} instead of --set {text}")
         if key in ("progress", "cancel"):
             raise ParameterError(f"'{key}' is for Python only: progress is shown on a terminal, Ctrl-C stops the work")
         if key in settings:

@@ -6,10 +6,10 @@ from typing import Annotated, Any
 
 import typer
 
-from featreg.cli import study
-from featreg.cli.option_sets import takes
+from featreg.cli import comparison_options
+from featreg.cli.comparison_options import OutputOptions, RunOptions
+from featreg.cli.option_sets import offered, takes
 from featreg.cli.options import MethodOptions, parse_settings, parse_value
-from featreg.cli.study import OutputOptions, RunOptions
 from featreg.errors import ParameterError
 from featreg.pipeline.keywords import BY_NAME
 
@@ -49,21 +49,20 @@ def sweep(
     from featreg.study.experiment import Experiment
 
     points = parse_grid(grid)
-    offered = common.keywords()
-    parameters = parse_settings(common.settings, (*offered, "method", "seed"))
+    parameters = parse_settings(common.settings, {"method"} | offered(MethodOptions, RunOptions, OutputOptions))
     for key in points:
-        if key in parameters or offered.get(key) is not None:
+        if key in parameters or common.keywords().get(key) is not None:
             raise ParameterError(f"'{key}' is swept, so it cannot be set as well")
     found = Experiment(
-        study.pairs_of(images, how.truth or []),
+        comparison_options.pairs_of(images, how.truth or []),
         [method],
         parameters,
         points,
         seeds=how.seeds(common),
         protocol=how.protocol(common),
-        metrics=study.metrics_of(how.metrics, None),
+        metrics=comparison_options.metrics_of(how.metrics, None),
     )
-    study.run(found, how, output, "sweeping")
+    comparison_options.run(found, how, output, "sweeping")
 
 
 def parse_grid(given: list[str]) -> dict[str, list[Any]]:

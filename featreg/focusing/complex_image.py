@@ -6,7 +6,6 @@ is ``ifft(fft(image) * exp(-1j * phase))``.
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -30,10 +29,10 @@ from featreg.io import SMALLEST, ImageLike, as_image
 from featreg.registry import create, entry
 from featreg.runtime.parameters import Count, Share, checked
 from featreg.runtime.threads import worker_count
+from featreg.runtime.watching import Canceller, Progress
 from featreg.types import BoolArray, FloatArray, Gate, Image, IntArray, read_only, verdict
 
 C64 = NDArray[np.complex64]
-Progress = Callable[[int, int], None]
 
 METHODS = ("auto", "mea", "pmea", "mca", "pga", "legendre")
 #: Share of the range cells where none is given; PGA and the parametric phase take them all.
@@ -79,7 +78,7 @@ def focus(
     range_blocks: int = 1,
     workers: Count | None = None,
     progress: Progress | None = None,
-    cancel: threading.Event | None = None,
+    cancel: Canceller | None = None,
 ) -> FocusResult:
     """Estimate the phase error of every pulse from a complex image, and remove it.
 
@@ -303,7 +302,7 @@ def _settings(
     detrend: bool,
     workers: int | None,
     progress: Progress | None,
-    cancel: threading.Event | None,
+    cancel: Canceller | None,
 ) -> _Settings:
     if method not in METHODS:
         raise ParameterError(f"unknown autofocus method {method!r}, {suggest(str(method), METHODS)}")

@@ -132,7 +132,7 @@ class Extractor:
         return seen.norm, seen.descriptors.shape[1]
 
     def _described(self, image: Image, features: Features) -> Features:
-        if features.descriptors is not None or not len(features):
+        if not len(features) or (self.descriptor is None and features.descriptors is not None):
             return features
         if self.descriptor is None:
             name = type(self.detector).__name__

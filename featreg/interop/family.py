@@ -5,7 +5,7 @@ A room's file holds the table and one class that runs any row of it:
     TABLE = {"toy-corners": Row("Corners", "Corners of toys", {**N_FEATURES, "k": option(0.04, Gt(0))})}
 
     @register_table
-    class ToyDetector(Part, Detector):
+    class ToyDetector(Member, Detector):
         table = TABLE
 
         def detect_features(self, image: Image) -> Features: ...  # self.row, self.parameters
@@ -103,7 +103,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Part:
+class Member:
     """One plugin of a family: a row of the class's table by name, and its parameters, also as attributes.
 
     Parameters
@@ -146,7 +146,7 @@ class Part:
         return cls(name, parameters)
 
 
-P = TypeVar("P", bound=type[Part])
+P = TypeVar("P", bound=type[Member])
 
 
 def register_table(cls: P) -> P:

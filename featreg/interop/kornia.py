@@ -1,7 +1,7 @@
 """The one place that knows what kornia needs: its version, the weights of its networks, and how its parts are listed.
 
 A plugin of kornia is a row of the table in its room: `KorniaRow` says how it is built and where its weights come from,
-`KorniaPart` is what every plugin made from a row has.
+`KorniaMember` is what every plugin made from a row has.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Any, ClassVar
 from annotated_types import Ge
 
 from featreg.errors import InputError, ParameterError, PluginUnavailableError
-from featreg.interop.family import NORMALISE, Part, Row, option
+from featreg.interop.family import NORMALISE, Member, Row, option
 from featreg.runtime.optional import TORCH_CURE, import_torch
 
 # Every plugin asks, and a distribution's metadata takes a millisecond to read.
@@ -118,7 +118,7 @@ def cached(name: str) -> bool:
     return (home / "hub" / "checkpoints" / name).is_file()
 
 
-class KorniaPart(Part):
+class KorniaMember(Member):
     """What the plugins of kornia have in common: a network, built once for its parameters and shared."""
 
     table: ClassVar[Mapping[str, KorniaRow]]
@@ -133,7 +133,7 @@ class KorniaPart(Part):
 
 
 @lru_cache(maxsize=8)
-def _network(kind: type[KorniaPart], name: str, given: tuple[tuple[str, Any], ...], stamps: tuple[Any, ...]) -> Any:
+def _network(kind: type[KorniaMember], name: str, given: tuple[tuple[str, Any], ...], stamps: tuple[Any, ...]) -> Any:
     from featreg.interop.torch_arrays import as_device
 
     values, row = dict(given), kind.table[name]

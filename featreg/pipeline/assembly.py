@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
@@ -118,6 +118,9 @@ def assemble(
 def assemble_fit(*, model: str | type[Model] | None, filters: Any, **keywords: Any) -> Pipeline:
     """Build the pipeline of given tie points: filters, model and trust; parameters and errors as `assemble`."""
     preset = Preset("tie points", filters=())
+    of_match = [name for name in keywords if name in declared.BY_NAME]
+    if of_match:
+        raise ParameterError(f"{of_match[0]} is for featreg.match: the tie points of a fit are given")
     return _assembled("tie points", preset, {}, model, False, None, False, False, {**keywords, "filters": filters})
 
 
@@ -137,6 +140,7 @@ def _assembled(
     robust = keywords.pop("robust", preset.robust)
     check("robust", robust, bool)
     use = preset.refine if refine is None else refine
+    check("refine", use, bool)
     refinement, limits = _route(keywords, {**slots, **steps}, preset, refine=bool(use), blocks=blocks)
     for slot in (*slots.values(), *steps.values()):
         for key, value in slot.entry.block_parameters.items() if blocks and slot.entry else ():
@@ -222,6 +226,8 @@ def _part(role: str, given: Any) -> Any:
 def _filters(preset: Preset, keywords: dict[str, Any]) -> dict[str, _Slot]:
     steps: dict[str, _Slot] = {}
     given = keywords.pop("filters", preset.filters)
+    if not isinstance(given, str | Filter | Sequence):
+        raise ParameterError(f"filters must be a list of names or Filter objects, got {given!r}")
     for part in [given] if isinstance(given, str | Filter) else given:
         slot = _Slot.of("filter", Part(part) if isinstance(part, str) else part)
         if slot.ready is not None and not isinstance(slot.ready, Filter):
@@ -246,6 +252,8 @@ def _route(
     for key, value in keywords.items():
         known = {role: names for role, (_, names) in takers.items()}
         owner, short = owner_of(key, known, "no part of this method", declared.BY_NAME)
+        if owner == "refine" and not refine and not slots.keys() & ROLES.keys():
+            raise ParameterError(f"'{key}' is for featreg.match: given tie points are not refined")
         if owner == "refine" and not refine:
             raise ParameterError(f"'{key}' does nothing without refinement: leave it out, or ask for it (refine=True)")
         if owner == "trust" and short in BLOCK_LIMITS and blocks is False:

@@ -76,7 +76,8 @@ class FeatureMatcher(Matcher):
         )
 
     def _describe(self, image: Image, features: Features) -> Features:
-        if features.descriptors is not None:
+        # A descriptor that was asked for describes, whatever the detector may have returned.
+        if self.descriptor is None and features.descriptors is not None:
             return features
         if self.descriptor is None:
             name = type(self.detector).__name__
@@ -85,7 +86,8 @@ class FeatureMatcher(Matcher):
             return self.descriptor.describe_features(image, features)
 
     def _vote(self, reference: Image, secondary: Image, a: Features, b: Features) -> float | None:
-        if not self.common_rotation or a.descriptors is not None or b.descriptors is not None:
+        described = self.descriptor is None and not (a.descriptors is None and b.descriptors is None)
+        if not self.common_rotation or described:
             return None
         if (a.angle == a.angle[0]).all() or (b.angle == b.angle[0]).all():
             return None

@@ -1,7 +1,7 @@
 """What `featreg.match` takes, declared once: what each keyword decides, and how the command line spells it.
 
-The command line's options, the checks of an experiment, the digests under which results are kept, the keypoints that
-are looked for again and the suggestions in errors follow from here. Keywords that are not named here are parameters of
+The command line's options, the checks of an experiment, the digests under which results and keypoints are kept and the
+suggestions in errors follow from here. Keywords that are not named here are parameters of
 the method's parts.
 """
 
@@ -25,24 +25,22 @@ class Keyword:
     name : of the keyword
     decides : what it decides
     option : of the command line; "" where it has none of its own, so that ``--set`` takes it
-    keypoints : whether the keypoints of one image depend on it
     """
 
     name: str
     decides: Decides
     option: str = ""
-    keypoints: bool = False
 
 
 KEYWORDS = (
-    Keyword("method", "method", "--method", keypoints=True),
+    Keyword("method", "method", "--method"),
     Keyword("model", "method", "--model"),
     Keyword("refine", "method", "--refine or --no-refine"),
-    Keyword("n_features", "method", "--n-features", keypoints=True),
-    Keyword("detector", "part", keypoints=True),
-    Keyword("descriptor", "part", keypoints=True),
-    Keyword("nearest", "part", keypoints=True),
-    Keyword("matcher", "part", keypoints=True),
+    Keyword("n_features", "method", "--n-features"),
+    Keyword("detector", "part"),
+    Keyword("descriptor", "part"),
+    Keyword("nearest", "part"),
+    Keyword("matcher", "part"),
     Keyword("filters", "part"),
     Keyword("common_rotation", "part"),
     Keyword("robust", "part"),
@@ -51,9 +49,9 @@ KEYWORDS = (
     Keyword("search_radius", "search", "--search-radius"),
     Keyword("reference_mask", "image", "--mask-reference"),
     Keyword("secondary_mask", "image", "--mask-secondary"),
-    Keyword("nodata", "image", "--nodata", keypoints=True),
-    Keyword("scale", "image", "--scale", keypoints=True),
-    Keyword("focus", "image", "--focus", keypoints=True),
+    Keyword("nodata", "image", "--nodata"),
+    Keyword("scale", "image", "--scale"),
+    Keyword("focus", "image", "--focus"),
     Keyword("block", "blocks", "--block or --whole"),
     Keyword("dem", "blocks", "--dem"),
     Keyword("height", "blocks", "--height"),
@@ -84,8 +82,9 @@ def deciding(keywords: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def of_keypoints(keywords: Mapping[str, Any]) -> dict[str, Any]:
-    """Those keywords on which the keypoints of one image depend, masks apart."""
-    return {name: value for name, value in keywords.items() if name not in BY_NAME or BY_NAME[name].keypoints}
+    """Those keywords on which the keypoints of one image depend, its mask apart: the pipeline's and how it is read."""
+    masks = ("reference_mask", "secondary_mask")
+    return {name: value for name, value in _kept(keywords, "method", "part", "image") if name not in masks}
 
 
 def _kept(keywords: Mapping[str, Any], *decides: Decides) -> Iterator[tuple[str, Any]]:

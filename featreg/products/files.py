@@ -9,7 +9,6 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from threading import Event
 from typing import Any
 
 from featreg.errors import CancelledError
@@ -18,6 +17,7 @@ from featreg.io.writers import geolocation_profile
 from featreg.products.grid import Grid
 from featreg.products.samples import Encoding
 from featreg.runtime.threads import available_processors, worker_count
+from featreg.runtime.watching import Canceller, Progress
 
 #: Side of an output window, px; of the tiles inside the file.
 WINDOW, TILE = 1024, 512
@@ -30,8 +30,8 @@ class Runner:
     """Runs windows in threads and gives their results in order, a few ahead at most."""
 
     threads: int | None
-    progress: Callable[[int, int], None] | None
-    cancel: Event | None
+    progress: Progress | None
+    cancel: Canceller | None
 
     @property
     def workers(self) -> int:

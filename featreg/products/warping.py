@@ -5,10 +5,9 @@ Windows go in order into a plain tiled TIFF, which is then copied to a cloud-opt
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from threading import Event
 from typing import Any
 
 import numpy as np
@@ -29,6 +28,7 @@ from featreg.products.phase_ramp import PhaseRamp, estimate_phase_ramp
 from featreg.products.resample import TAPS, Support
 from featreg.products.samples import Encoding, encoding_of
 from featreg.results.registration import Registration
+from featreg.runtime.watching import Canceller, Progress
 from featreg.types import BoolArray
 
 #: Most pixels of the secondary that one output window reads.
@@ -77,8 +77,8 @@ def warp_file(
     coherence: str | Path | None = None,
     coherence_window: int | tuple[int, int] = 5,
     workers: int | None = None,
-    progress: Callable[[int, int], None] | None = None,
-    cancel: Event | None = None,
+    progress: Progress | None = None,
+    cancel: Canceller | None = None,
 ) -> Product:
     """Write the secondary on the reference grid as a cloud-optimised GeoTIFF, scenes of any size in bounded memory.
 

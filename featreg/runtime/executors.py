@@ -28,6 +28,9 @@ REPLACED = 3
 #: Seconds between two looks at `cancel`.
 GLANCE = 0.2
 
+#: Executors by name.
+NAMES = ("serial", "threads", "processes")
+
 logger = logging.getLogger(__name__)
 
 
@@ -53,6 +56,17 @@ class InProcessExecutor(Executor):
         return future
 
 
+def check_executor(executor: Any) -> None:
+    """Raise where nothing can be run by what is given as `executor`."""
+    if isinstance(executor, str):
+        if executor not in NAMES:
+            raise ParameterError(
+                f"executor must be 'serial', 'threads', 'processes', an Executor or a dask Client, got '{executor}'"
+            )
+    elif executor is not None and not callable(getattr(executor, "submit", None)):
+        raise ParameterError(f"executor must be a name, an Executor or a dask Client, got {type(executor).__name__}")
+
+
 @contextmanager
 def open_executor(executor: Any, workers: int | None) -> Iterator[TaskExecutor]:
     """Return how tasks are run.
@@ -63,14 +77,11 @@ def open_executor(executor: Any, workers: int | None) -> Iterator[TaskExecutor]:
         for processes where they can be forked safely, else threads
     workers : how many, of the named ones; None takes every processor this process may use
     """
+    check_executor(executor)
     count = worker_count(workers)
     if executor is None:
         executor = "serial" if count == 1 else ("processes" if can_fork() else "threads")
     if isinstance(executor, str):
-        if executor not in ("serial", "threads", "processes"):
-            raise ParameterError(
-                f"executor must be 'serial', 'threads', 'processes', an Executor or a dask Client, got '{executor}'"
-            )
         # For processes too: a library that starts threads of its own here would forbid the fork.
         with single_threaded():
             if executor == "serial":
@@ -85,8 +96,6 @@ def open_executor(executor: Any, workers: int | None) -> Iterator[TaskExecutor]:
                 with closing(_Processes(count)) as processes:
                     yield processes
         return
-    if not callable(getattr(executor, "submit", None)):
-        raise ParameterError(f"executor must be a name, an Executor or a dask Client, got {type(executor).__name__}")
     if type(executor).__module__.startswith("distributed"):
         yield _Futures(executor, ahead=AHEAD * _dask_threads(executor), options={"pure": False, "retries": 2})
         return
@@ -160,12 +169,11 @@ class _Processes:
                     yield positions[at], result
                 return
             except BrokenExecutor as error:
-                logger.warning("a worker process died (attempt %d); its blocks are done again", attempt + 1)
+                logger.warning("a worker process died (attempt %d); its tasks are done again", attempt + 1)
                 self.close()
                 last = error
         raise FeatregError(
-            f"worker processes died {REPLACED + 1} times ({last}), perhaps for want of memory; use fewer workers, "
-            "and --resume keeps the finished blocks"
+            f"worker processes died {REPLACED + 1} times ({last}), perhaps for want of memory; use fewer workers"
         ) from last
 
     def _open(self) -> ProcessPoolExecutor:
@@ -209,4 +217,4 @@ def _dask_threads(client: Any) -> int:
 
 def _look(cancel: Canceller | None) -> None:
     if cancel is not None and cancel.is_set():
-        raise CancelledError("the scene was cancelled; with resume= the finished blocks are kept")
+        raise CancelledError("the work was cancelled")

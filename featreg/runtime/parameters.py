@@ -89,6 +89,8 @@ class Parameter:
             optional |= len(members) < len(get_args(annotation))
             annotation = members[0] if len(members) == 1 else Any
         choices = get_args(annotation) if get_origin(annotation) is Literal else ()
+        optional |= None in choices
+        choices = tuple(choice for choice in choices if choice is not None)
         kind = annotation if annotation in KINDS else type(choices[0]) if choices else None
         bounds: dict[str, float] = {}
         predicates = []
@@ -127,10 +129,11 @@ class Parameter:
         """Whether the parameter may have this value; a numpy scalar counts as the number it is, NaN as in no range."""
         if value is None or self.kind is None:
             return self.optional
+        if self.choices:
+            plain = value.item() if isinstance(value, np.generic) else value
+            return any(type(plain) is type(choice) and plain == choice for choice in self.choices)
         if isinstance(value, bool | np.bool_) is not (self.kind is bool) or not isinstance(value, KINDS[self.kind][1]):
             return False
-        if self.choices:
-            return value in self.choices
         within = all(BOUNDS[key](value, bound) for key, bound in self.bounds.items())
         return within and all(holds(value) for holds in self.predicates)
 
@@ -228,7 +231,7 @@ def _single(metadata: list[Any]) -> Iterator[Any]:
 
 
 def _annotation(thing: Callable[..., Any], name: str, text: Any) -> Any:
-    """An annotation that may be written as text; `Any` where it names what is not there at run time."""
+    """An annotation that may be written as text; `Any` where it cannot be read at run time."""
     if not isinstance(text, str):
         return text
     home = next((c for c in getattr(thing, "__mro__", ()) if name in vars(c).get("__annotations__", {})), None)
@@ -236,7 +239,7 @@ def _annotation(thing: Callable[..., Any], name: str, text: Any) -> Any:
     names = vars(sys.modules[home.__module__]) if home else inspect.unwrap(function).__globals__
     try:
         return get_type_hints(SimpleNamespace(__annotations__={name: text}), names, include_extras=True)[name]
-    except NameError:
+    except Exception:
         return Any
 
 

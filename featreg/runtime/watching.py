@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Protocol
+from typing import Any, Protocol
 
-from featreg.errors import CancelledError
+from featreg.errors import CancelledError, ParameterError
 
 Progress = Callable[[int, int], None]
 
@@ -36,6 +36,14 @@ def check_cancelled() -> None:
     cancel = _cancel.get()
     if cancel is not None and cancel.is_set():
         raise CancelledError("the work was cancelled")
+
+
+def check_watch(progress: Any, cancel: Any) -> None:
+    """Raise a `ParameterError` where these are no callback and no event."""
+    if progress is not None and not callable(progress):
+        raise ParameterError(f"progress must be a function of (done, in all), got {progress!r}")
+    if cancel is not None and not callable(getattr(cancel, "is_set", None)):
+        raise ParameterError(f"cancel must be an event with is_set(), got {cancel!r}")
 
 
 class Steps:

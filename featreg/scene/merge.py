@@ -265,9 +265,7 @@ def accuracy(
             "worst_block": worst,
             "known": len(known_blocks),
         }
-    report["limits"] = {
-        name: {"value": gate.value, "low": gate.low, "high": gate.high, "passed": gate.passed}
-        for name, gate in gates.items()
-    }
+    stated = ("value", "low", "high", "passed")
+    report["limits"] = {name: {key: gate.to_dict()[key] for key in stated} for name, gate in gates.items()}
     report["passed"] = verdict(gates)[0] == "ok"
     return report

@@ -5,15 +5,15 @@ from __future__ import annotations
 import logging
 import os
 import tempfile
-from collections.abc import Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from featreg.errors import ParameterError
+from featreg.errors import CancelledError, ParameterError
 from featreg.geolocation import ConstantHeight, DemHeights, Heights, RpcBias, Transfer, sensor_of
 from featreg.interfaces import Matcher, Model
 from featreg.io.raster_source import ImageSource, Source
@@ -22,6 +22,7 @@ from featreg.pipeline.pipeline import Pipeline
 from featreg.pipeline.steps import refined
 from featreg.results.registration import Registration
 from featreg.runtime.executors import TaskExecutor, open_executor
+from featreg.runtime.parameters import check
 from featreg.runtime.timing import collecting, stage
 from featreg.runtime.versions import versions
 from featreg.runtime.watching import Canceller, Progress, cancellable
@@ -65,6 +66,8 @@ class SceneOptions:
 
     def heights(self) -> Heights:
         """The heights of the ground."""
+        if self.height is not None:
+            check("height", self.height, float)
         if self.dem is not None and self.height is not None:
             raise ParameterError("heights come from a DEM file or from one height, not from both: leave out one")
         return ConstantHeight(self.height or 0.0) if self.dem is None else DemHeights(os.path.abspath(self.dem))
@@ -103,7 +106,7 @@ def match_scene(
         raise ParameterError("this pipeline has no matcher: give it one, or use featreg.fit with tie points")
     heights = options.heights()
     _check_heights(options, pipeline, (reference, secondary), initial)
-    with collecting() as timings:
+    with _finished_blocks_kept(options.resume), collecting() as timings:
         with ExitStack() as stack:
             executor = stack.enter_context(open_executor(options.executor, options.workers))
             shared = _shareable(reference, secondary, executor, stack)
@@ -125,10 +128,21 @@ def match_scene(
         record = {**counts, "size": options.block, "halo": job.halo}, block_table(blocks, results), seconds_of(results)
         merged = merge(results, ["prior", *(name for name, _ in job.filters)])
         results.clear()
-        return _finished(
-            pipeline, merged, blocks, record, prior, reference, secondary, options,
-            seed=seed, initial=initial, search_radius=search_radius, timings=timings,
-        )  # fmt: skip
+        with cancellable(options.cancel):
+            return _finished(
+                pipeline, merged, blocks, record, prior, reference, secondary, options,
+                seed=seed, initial=initial, search_radius=search_radius, timings=timings,
+            )  # fmt: skip
+
+
+@contextmanager
+def _finished_blocks_kept(resume: str | Path | None) -> Iterator[None]:
+    """Say of a scene that was cancelled how to go on."""
+    try:
+        yield
+    except CancelledError as error:
+        how = "with resume= the finished blocks are kept" if resume is None else f"finished blocks are in '{resume}'"
+        raise CancelledError(f"the scene was cancelled; {how}") from error
 
 
 def _check_heights(options: SceneOptions, pipeline: Pipeline, sources: Sequence[Source], initial: Model | None) -> None:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
 from featreg.runtime.threads import worker_count
+from featreg.runtime.watching import Canceller, Progress
 from featreg.study.engine import Run
 from featreg.study.experiment import Experiment
 from featreg.study.metrics import STANDARD
@@ -30,8 +30,8 @@ def compare(
     time_limit: float | None = None,
     isolate: bool | None = None,
     cache: str | Path | None = None,
-    progress: Callable[[int, int], None] | None = None,
-    cancel: threading.Event | None = None,
+    progress: Progress | None = None,
+    cancel: Canceller | None = None,
     **overrides: Any,
 ) -> Table:
     """Match every pair with every method, score the results and put them in a table.

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import queue
-import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from featreg.results.registration import Registration
 from featreg.runtime.executors import InProcessExecutor
 from featreg.runtime.isolation import IsolatedExecutor
 from featreg.runtime.threads import single_threaded, worker_count
+from featreg.runtime.watching import Canceller, Progress
 from featreg.study.jobs import (
     ROLES,
     Job,
@@ -56,8 +56,8 @@ class Run:
     timing: bool = True
     warm_up: bool = True
     keypoints: bool = False
-    progress: Callable[[int, int], None] | None = None
-    cancel: threading.Event | None = None
+    progress: Progress | None = None
+    cancel: Canceller | None = None
 
     def __post_init__(self) -> None:
         worker_count(self.workers)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -13,6 +12,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from featreg.errors import FeatregError, ParameterError
+from featreg.runtime.watching import Canceller, Progress
 from featreg.study.engine import Run, run_jobs
 from featreg.study.experiment_results import Study
 from featreg.study.jobs import Job, Method, Pair
@@ -162,8 +162,8 @@ class Experiment:
         workers: int = 1,
         isolate: bool = True,
         resume: str | Path | None = None,
-        progress: Callable[[int, int], None] | None = None,
-        cancel: threading.Event | None = None,
+        progress: Progress | None = None,
+        cancel: Canceller | None = None,
     ) -> Study:
         """Match what is not kept yet, and return the results, ready to be scored.
 

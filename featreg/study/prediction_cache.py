@@ -125,12 +125,18 @@ def _of(plugin: Plugin) -> set[str]:
     return own.union(*(_of(part) for part in plugin.parts))
 
 
+def core_files() -> list[Path]:
+    """The modules of this package that may decide a result."""
+    package = Path(__file__).parents[1]
+    found = (path for path in package.rglob("*.py") if path.relative_to(package).parts[0] not in AFTERWARDS)
+    return sorted(found)
+
+
 @lru_cache(maxsize=1)
 def _core() -> str:
-    """Digest of the modules of this package that may decide a result."""
+    """Digest of those modules."""
     package = Path(__file__).parents[1]
-    files = {path for path in package.rglob("*.py") if not path.relative_to(package).parts[0] not in AFTERWARDS}
-    return _digest([[path.relative_to(package).as_posix(), path.read_bytes()] for path in sorted(files)])
+    return _digest([[path.relative_to(package).as_posix(), path.read_bytes()] for path in core_files()])
 
 
 @lru_cache

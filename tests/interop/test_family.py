@@ -18,7 +18,7 @@ from featreg import registry
 from featreg.errors import DuplicatePluginError, ParameterError, PluginError, PluginUnavailableError
 from featreg.interfaces import Descriptor, Detector
 from featreg.interop.extraction import extractor
-from featreg.interop.family import DESCRIBE, N_FEATURES, WEIGHTS, Part, Row, best_first, option, register_table
+from featreg.interop.family import DESCRIBE, N_FEATURES, WEIGHTS, Member, Row, best_first, option, register_table
 from featreg.pipeline.assembly import assemble
 from featreg.types import Features, Image
 
@@ -69,7 +69,7 @@ TABLE = {
 }  # fmt: skip
 
 
-class ToyDetector(Part, Detector):
+class ToyDetector(Member, Detector):
     """A detector of the toy library."""
 
     table = TABLE
@@ -212,10 +212,10 @@ def test_a_name_that_is_taken_and_a_class_without_a_kind_are_refused() -> None:
     with pytest.raises(DuplicatePluginError, match="toy-bright"):
         register_table(Other)
 
-    class Both(Part, Detector, Descriptor):
+    class Both(Member, Detector, Descriptor):
         table = TABLE
 
-    class Nothing(Part):
+    class Nothing(Member):
         table = TABLE
 
     for cls in (Both, Nothing):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import featreg
 from featreg import registry
 from featreg.errors import ParameterError
 from featreg.interfaces import Detector
@@ -127,3 +128,17 @@ def test_descriptors_that_come_with_the_points_are_kept(sar_texture: Texture) ->
     found = made.match(image, image)
     assert len(found) > 50
     np.testing.assert_array_equal(found.reference_xy, found.secondary_xy)
+
+
+@pytest.mark.parametrize("ready", [False, True])
+def test_a_descriptor_that_is_asked_for_describes(ready: bool, pair: SimulatedPair) -> None:
+    """Also where the detector could do so itself and nobody told it not to."""
+    detector = registry.create("detector", "sift") if ready else "sift"
+    made = [
+        featreg.match(pair.reference, pair.secondary, detector=detector, descriptor=name, refine=False)
+        for name in ("brief", "ratio-gloh")
+    ]
+    assert len(made[0].matches) != len(made[1].matches)
+    _, table = featreg.extractor(detector, "brief").detectAndCompute(pair.reference)
+    assert table is not None
+    assert table.dtype == np.uint8

@@ -19,7 +19,8 @@ from featreg.matching import check_keywords, keypoints_of
 from featreg.pipeline.assembly import assemble
 from featreg.pipeline.keywords import BY_NAME, KEYWORDS, deciding, names, of_keypoints, of_pipeline
 from featreg.simulate import SimulatedPair
-from featreg.study.prediction_cache import PredictionCache, _modules
+from featreg.study.prediction_cache import AFTERWARDS, PredictionCache, _modules, core_files
+from featreg.study.protocol import Protocol
 from featreg.types import BoolArray, Matches
 
 
@@ -54,7 +55,7 @@ def test_kinds_of_keywords() -> None:
     given = {"method": "rift", "seed": 1, "workers": 2, "nodata": 0, "fsc.threshold": 2.0, "block": 300, "progress": 1}
     assert of_pipeline(given) == {"method": "rift", "fsc.threshold": 2.0}
     assert deciding(given) == {k: v for k, v in given.items() if k not in ("workers", "progress")}
-    assert of_keypoints({**given, "filters": "fsc"}) == {"method": "rift", "nodata": 0, "fsc.threshold": 2.0}
+    assert of_keypoints(given) == {"method": "rift", "nodata": 0, "fsc.threshold": 2.0}
 
 
 @pytest.mark.parametrize(
@@ -209,6 +210,45 @@ def test_a_part_is_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
     assert sorted(made) == ["brief", "brute-force", "fsc", "gms", "mad", "sar-ofast", "target-centroids"]
 
 
+def test_a_scene_is_cancelled_in_its_last_part_too(pair: SimulatedPair) -> None:
+    event = threading.Event()
+
+    class Stop(Seen):
+        def keep(self, matches: Matches, context: FilterContext) -> BoolArray:
+            event.set()
+            return super().keep(matches, context)
+
+    with pytest.raises(CancelledError, match="resume="):
+        in_blocks(pair, ["gms", Stop(), "fsc"], cancel=event)
+
+
+@pytest.mark.parametrize(
+    "how", [{"executor": "cluster"}, {"executor": 7}, {"progress": 1}, {"cancel": 1}], ids=str
+)
+@pytest.mark.parametrize("block", [False, 150])
+def test_impossible_ways_of_running_are_refused(how: dict[str, Any], block: Any, pair: SimulatedPair) -> None:
+    with pytest.raises(ParameterError, match=next(iter(how))):
+        featreg.match(pair.reference, pair.secondary, block=block, **how)
+    with pytest.raises(ParameterError, match=next(iter(how))):
+        featreg.Experiment([(pair.reference, pair.secondary)], ["orb"], how).check()
+
+
+def test_a_scheduler_is_not_asked_for_whole_images(pair: SimulatedPair) -> None:
+    made = featreg.match(pair.reference, pair.secondary, n_features=500, scheduler="tcp://127.0.0.1:9")
+    assert made.status == "ok"
+
+
+@pytest.mark.parametrize(
+    ("keywords", "text"),
+    [({"detector": "orb"}, "is for featreg.match"), ({"n_features": 5}, "is for featreg.match"),
+     ({"half": 20}, "are not refined"), ({"filters": None}, "filters must be")],
+)  # fmt: skip
+def test_a_fit_says_what_is_for_match(keywords: dict[str, Any], text: str) -> None:
+    points = np.random.default_rng(0).uniform(0, 200, (40, 2))
+    with pytest.raises(ParameterError, match=text):
+        featreg.fit(np.column_stack([points, points + 3]), **keywords)
+
+
 # Filters in blocks
 
 
@@ -276,6 +316,29 @@ def test_the_digest_knows_what_decides_and_nothing_else(tmp_path: Path) -> None:
     for other in ({"seed": 1}, {"block": 300}, {"height": 2.0}, {"focus": "auto"}, {"nodata": 0}, {"alpha": 2.5}):
         assert key(cache, **{"method": "sar-orb", "seed": 0, **other}) != plain
     assert cache.key("pair", (np.zeros(3),), {"method": "sar-orb", "seed": 0}, "keypoints") != plain
+
+
+def test_the_digest_knows_the_core_and_not_what_looks_at_results() -> None:
+    package = Path(featreg.__file__).parent
+    files = {path.relative_to(package).as_posix() for path in core_files()}
+    assert {"matching.py", "pipeline/refine.py", "pipeline/trust.py", "geometry/robust.py", "interfaces.py"} <= files
+    assert "sar/gradients/ratio_kernels.py" in files
+    assert not [file for file in files if file.split("/")[0] in AFTERWARDS]
+
+
+def test_keypoints_are_found_whatever_else_the_method_is_told(pair: SimulatedPair) -> None:
+    experiment = featreg.Experiment(
+        [(pair.reference, pair.secondary, pair.truth)],
+        [
+            ("filters", {"method": "sar-orb", "filters": ["ransac"], "ransac.threshold": 2.0}),
+            ("refined", {"method": "sar-orb-paper", "refine": True, "half": 20}),
+            ("blocks", {"method": "sar-orb", "block": 200, "block_share": 0.05}),
+        ],
+        metrics=["repeatability"],
+        protocol=Protocol(timing=False),
+    )
+    rows = experiment.run(isolate=False).table().rows
+    assert all(row["repeatability"] > 0.05 for row in rows), rows
 
 
 def test_the_digest_knows_the_code_of_parts_that_a_matcher_names() -> None:

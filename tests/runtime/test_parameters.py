@@ -157,3 +157,18 @@ def test_meanings_are_read_where_they_stand() -> None:
         "b_2": "two more",
         "c": "two more",
     }
+
+
+def test_choices_of_several_types_and_none() -> None:
+    mixed = Parameter.of(Literal["auto", 3], "auto")
+    assert [mixed.allows(value) for value in ("auto", 3, np.int64(3), 3.0, True, None)] == [True] * 3 + [False] * 3
+    optional = Parameter.of(Literal["a", None], "a")
+    assert [optional.allows(value) for value in ("a", None, "b")] == [True, True, False]
+    assert optional.wanted == "'a', or None"
+
+
+def test_an_annotation_that_cannot_be_read_allows_everything() -> None:
+    class Odd:
+        def __init__(self, table: np.no.such.thing | None = None) -> None: ...  # type: ignore[name-defined]
+
+    assert declared(Odd)["table"].allows(object())

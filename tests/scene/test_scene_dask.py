@@ -108,7 +108,7 @@ def test_a_cluster_that_loses_a_worker_gives_the_same_result(
     assert equal(got, wanted)
     # The one that is left serves the command, too.
     out = tmp_path / "r.json"
-    command = [sys.executable, "-m", "featreg.cli", "match", str(located_pair.reference), str(located_pair.secondary)]
+    command = [sys.executable, "-m", "featreg", "match", str(located_pair.reference), str(located_pair.secondary)]
     command += ["--block", "150", "--scheduler", cluster.address, "--json", str(out)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

@@ -197,7 +197,7 @@ def test_interrupted_by_hand_it_says_how_to_go_on(located_pair: Any, tmp_path: P
         (["--block", "many"], "whole number"),
         (["--dem", "nowhere.tif"], "no such file"),
         (["--height", "5", "--dem", "{reference}"], "--dem and --height"),
-        (["--scheduler", "tcp://127.0.0.1:9"], "no dask scheduler answers"),
+        (["--block", "300", "--scheduler", "tcp://127.0.0.1:9"], "no dask scheduler answers"),
         (["--scheduler", "tcp://127.0.0.1:9", "--workers", "2"], "leave --workers out"),
         (["--resume", "{reference}"], "is a file"),
         (["--resume", "/nowhere/at/all"], "does not exist"),
@@ -277,7 +277,7 @@ def test_the_picture_of_a_large_scene_is_made_from_overviews(
     command = ["match", str(located_pair.reference), str(located_pair.secondary), "--block", "200", "--workers", "1"]
     assert main([*command, "--plot", str(tmp_path / "whole.png")]) == 0
     monkeypatch.setattr("featreg.matching.MOST_PIXELS", 100_000)
-    monkeypatch.setattr("featreg.cli.scene.DRAWN", 400)
+    monkeypatch.setattr("featreg.cli.block_options.DRAWN", 400)
     for place in ("featreg.io", "featreg.io.images"):
         monkeypatch.setattr(f"{place}.as_image", None)
     assert main([*command, "--plot", str(tmp_path / "reduced.png")]) == 0

@@ -21,7 +21,7 @@ RANKS = 10
 
 
 def fast_corners(
-    image: NDArray[np.uint8], threshold: int, allowed: BoolArray, most: int
+    image: NDArray[np.uint8], threshold: int, allowed: BoolArray, n_features: int
 ) -> tuple[IntArray, NDArray[np.uint8]]:
     """Return the FAST-9/16 corners of a map, local maxima of their score.
 
@@ -30,7 +30,7 @@ def fast_corners(
     image : (H, W) uint8
     threshold : least difference between the centre and nine contiguous points of the circle of radius 3, 0 to 254
     allowed : (H, W) bool, where a corner may lie
-    most : how many to return at most
+    n_features : how many to return at most
 
     Returns
     -------
@@ -43,11 +43,11 @@ def fast_corners(
     corner_kernels.fast_scores(np.ascontiguousarray(image), threshold, 3, 1, score)
     room = image.size // 4 + 1
     at, values = np.empty(room, np.int64), np.empty(room, np.uint8)
-    least = corner_kernels.score_of_rank(score, RANKS * most)
+    least = corner_kernels.score_of_rank(score, RANKS * n_features)
     count = corner_kernels.collect_maxima(score, allowed.view(np.uint8), least, at, values)
-    if count < most and least > 0:
+    if count < n_features and least > 0:
         count = corner_kernels.collect_maxima(score, allowed.view(np.uint8), 0, at, values)
-    order = np.argsort(255 - values[:count], kind="stable")[:most]
+    order = np.argsort(255 - values[:count], kind="stable")[:n_features]
     y, x = np.divmod(at[order], image.shape[1])
     return np.column_stack([x, y]), values[order]
 

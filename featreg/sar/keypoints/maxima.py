@@ -10,7 +10,7 @@ from featreg.types import BoolArray, FloatArray, IntArray
 F32 = NDArray[np.float32]
 
 
-def local_maxima(response: F32, allowed: BoolArray, threshold: float, most: int) -> IntArray:
+def local_maxima(response: F32, allowed: BoolArray, threshold: float, n_features: int) -> IntArray:
     """Return the (N, 2) pixels (x, y) of the local maxima of a map, the highest first, equal ones in reading order.
 
     Parameters
@@ -18,7 +18,7 @@ def local_maxima(response: F32, allowed: BoolArray, threshold: float, most: int)
     response : (H, W) float32
     allowed : (H, W) bool, where a maximum may lie; the outermost rows and columns never count
     threshold : a maximum must exceed it
-    most : how many to return at most
+    n_features : how many to return at most
 
     Notes
     -----
@@ -29,10 +29,10 @@ def local_maxima(response: F32, allowed: BoolArray, threshold: float, most: int)
     room = np.empty(response.size // 4 + 1, np.int64)
     flat = room[: harris_kernels.collect_peaks(response, allowed.view(np.uint8), np.float32(threshold), room)]
     value = -response.ravel()[flat]
-    if len(flat) > most:
-        near = value <= np.partition(value, most - 1)[most - 1]
+    if len(flat) > n_features:
+        near = value <= np.partition(value, n_features - 1)[n_features - 1]
         flat, value = flat[near], value[near]
-    flat = flat[np.argsort(value, kind="stable")][:most]
+    flat = flat[np.argsort(value, kind="stable")][:n_features]
     y, x = np.divmod(flat, response.shape[1])
     return np.column_stack([x, y]).astype(np.int64)
 
