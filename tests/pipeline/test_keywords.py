@@ -222,9 +222,7 @@ def test_a_scene_is_cancelled_in_its_last_part_too(pair: SimulatedPair) -> None:
         in_blocks(pair, ["gms", Stop(), "fsc"], cancel=event)
 
 
-@pytest.mark.parametrize(
-    "how", [{"executor": "cluster"}, {"executor": 7}, {"progress": 1}, {"cancel": 1}], ids=str
-)
+@pytest.mark.parametrize("how", [{"executor": "cluster"}, {"executor": 7}, {"progress": 1}, {"cancel": 1}], ids=str)
 @pytest.mark.parametrize("block", [False, 150])
 def test_impossible_ways_of_running_are_refused(how: dict[str, Any], block: Any, pair: SimulatedPair) -> None:
     with pytest.raises(ParameterError, match=next(iter(how))):
