@@ -20,6 +20,7 @@ from featreg.io.raster_source import ImageSource, Source
 from featreg.pipeline.inputs import input_image
 from featreg.pipeline.pipeline import Pipeline
 from featreg.pipeline.steps import refined
+from featreg.results.losses import block_words, heights_words
 from featreg.results.registration import Registration
 from featreg.runtime.executors import TaskExecutor, open_executor
 from featreg.runtime.timing import collecting, stage
@@ -287,7 +288,11 @@ def _finished(
     counts, table, seconds = record
     matches, owners, shapes = merged.matches, merged.blocks, (reference.shape, secondary.shape)
     known: Any = {"seed": seed, "initial": initial, "search_radius": search_radius}
-    draft = pipeline.fitted(matches, pipeline.filtered(matches, *shapes, before=merged.stages, **known))
+    ground = heights_words(options.heights().to_dict()) if prior.source.startswith("geolocation") else ""
+    where = f"lies within {prior.uncertainty_px:.0f} px of where the prior ({prior.source}) says"
+    stages = pipeline.filtered(matches, *shapes, before=merged.stages, **known)
+    draft = pipeline.fitted(matches, stages, {"prior": ", ".join(part for part in (where, ground) if part)})
+    draft = draft.without_model(block_words(table["status"], table["reason"]))
     if pipeline.refine is not None:
         with stage("refine"):
             found, mine = None, owners[:0]
