@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import textwrap
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from featreg.errors import InputError
@@ -47,32 +45,23 @@ def explain_registration(registration: Registration) -> str:
     )
 
 
-def explain_file(path: str | Path) -> tuple[str, str]:
-    """Return the status of a result's file and its explanation: of `featreg match --json` or `featreg focus --json`.
+def explain_focus(record: Mapping[str, Any]) -> tuple[str, str]:
+    """Return the status of what `featreg focus --json` wrote, and its explanation.
 
     Raises
     ------
     InputError
-        The file is no result of featreg.
+        The record is not whole.
     """
-    from featreg.results.registration import Registration
-
-    focused = _focus_record(Path(path))
-    if focused is None:
-        result = Registration.from_json(path)
-        try:
-            return result.status, explain_registration(result)
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise InputError(f"'{path}' is not a whole featreg result: its provenance is none ({error})") from error
     try:
-        gates = {str(name): Gate.from_dict(gate) for name, gate in focused["gates"].items()}
-        status, reason = str(focused["status"]), str(focused["reason"])
-        first, last = (float(value) for value in focused["image_entropy"])
-        facts = [f"method: {focused['method']}", f"entropy of the image: {first:.4f} before, {last:.4f} after"]
-    except (KeyError, TypeError, ValueError, AttributeError, InputError) as error:
-        raise InputError(f"'{path}' is not a whole result of featreg focus: {error}") from error
+        gates = {str(name): Gate.from_dict(gate) for name, gate in record["gates"].items()}
+        status, reason = str(record["status"]), str(record["reason"])
+        first, last = (float(value) for value in record["image_entropy"])
+        facts = [f"method: {record['method']}", f"entropy of the image: {first:.4f} before, {last:.4f} after"]
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(f"not a whole result of featreg focus: {error}") from error
     if status not in ("ok", "unreliable"):
-        raise InputError(f"'{path}' is not a whole result of featreg focus: its status is {status!r:.40}")
+        raise InputError(f"not a whole result of featreg focus: its status is {status!r:.40}")
     return status, _explained(status, reason, facts, gates, FOCUS, [])
 
 
@@ -205,12 +194,3 @@ def _gate(name: str, gate: Gate, text: GateText | None) -> Iterator[str]:
 def _wrapped(text: str, first: str = "", other: str | None = None) -> list[str]:
     rest = " " * len(first) if other is None else other
     return textwrap.wrap(text, WIDTH, initial_indent=first, subsequent_indent=rest, break_on_hyphens=False) or [first]
-
-
-def _focus_record(path: Path) -> dict[str, Any] | None:
-    """The object in a file, if it is one of `featreg focus`; anything else is for the reader of registrations."""
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return None
-    return data if isinstance(data, dict) and "image_entropy" in data else None

@@ -67,8 +67,8 @@ def why_no_fit(
         return f"no tie point is left after {last}{none}: {chain(putative, kept)}{before}"
     if left < needed:
         after = f" left after {last}" if last else " given"
-        count = "one tie point is" if left == 1 else f"{left} tie points are"
-        return f"only {count}{after}, the model needs {needed}: {chain(putative, kept)}{before}"
+        some = "one tie point is" if left == 1 else f"{left} tie points are"
+        return f"only {some}{after}, the model needs {needed}: {chain(putative, kept)}{before}"
     return f"{reason} ({chain(putative, kept)})"
 
 

@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 
 import featreg
+from featreg.cli.explain import explain_file
 from featreg.cli.main import main
 from featreg.errors import InputError
 from featreg.interfaces import FailedFit
 from featreg.pipeline.trust import CONDITIONS
-from featreg.results.explaining import explain_file
 from featreg.results.gate_texts import FOCUS, REGISTRATION
 from featreg.results.losses import block_words, percent, why_no_fit
 from featreg.results.registration import Registration
