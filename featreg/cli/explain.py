@@ -51,7 +51,7 @@ def explain_file(path: str | Path) -> tuple[str, str]:
     result = Registration.from_json(path)
     try:
         return result.status, result.explain()
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
         raise InputError(f"'{path}' is not a whole featreg result: its provenance cannot be told ({error})") from error
 
 

@@ -170,8 +170,15 @@ def gdal_dataset(source: str | Path) -> Iterator[Any]:
 
     with quiet(), rasterio.Env(**GDAL_OPTIONS), _decoding(path, driver.removeprefix("G").upper()):
         dataset = rasterio.open(path.absolute(), driver=driver)
-    with dataset:
-        yield dataset
+    from rasterio._err import CPLE_BaseError
+
+    try:
+        with dataset:
+            yield dataset
+    except CPLE_BaseError as error:  # rasterio lets some of GDAL's errors through as they are
+        raise InputError(
+            f"{path}: the file is broken or cut short ({reason(error)}); a complete file is needed"
+        ) from error
 
 
 def _gdal_driver(path: Path, head: bytes) -> str:

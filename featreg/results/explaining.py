@@ -58,7 +58,7 @@ def explain_focus(record: Mapping[str, Any]) -> tuple[str, str]:
         status, reason = str(record["status"]), str(record["reason"])
         first, last = (float(value) for value in record["image_entropy"])
         facts = [f"method: {record['method']}", f"entropy of the image: {first:.4f} before, {last:.4f} after"]
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
         raise InputError(f"not a whole result of featreg focus: {error}") from error
     if status not in ("ok", "unreliable"):
         raise InputError(f"not a whole result of featreg focus: its status is {status!r:.40}")

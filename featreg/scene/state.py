@@ -10,7 +10,6 @@ from __future__ import annotations
 import io
 import logging
 import os
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -21,6 +20,7 @@ from featreg.errors import InputError
 from featreg.results.json_file import plain
 from featreg.runtime.digests import digest_arrays, digest_json
 from featreg.runtime.files import write_atomic
+from featreg.runtime.numpy_files import load_arrays
 from featreg.scene.blocks import Block
 from featreg.scene.task import BlockResult, columns_of, from_columns
 
@@ -66,8 +66,7 @@ class BlockFiles:
         path = self.path(block)
         try:
             content = path.read_bytes()
-            with np.load(io.BytesIO(content), allow_pickle=False) as file:
-                columns = {name: file[name] for name in file.files}
+            columns = load_arrays(io.BytesIO(content))
             if str(columns.pop("digest")) != self.digest or str(columns.pop("checksum")) != digest_arrays(columns):
                 raise ValueError("its digest or its checksum is not that of this block")
             result = from_columns(columns)
@@ -75,7 +74,7 @@ class BlockFiles:
                 raise ValueError("it holds another block")
         except FileNotFoundError:
             return None
-        except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, NotImplementedError) as error:
+        except (OSError, ValueError, KeyError, TypeError) as error:
             logger.warning("block file %s is not used, its block is computed again (%s)", path, error)
             return None
         return result
