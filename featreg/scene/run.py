@@ -31,7 +31,7 @@ from featreg.scene.first_prior import first_prior
 from featreg.scene.merge import Merged, accuracy, block_errors, block_gates, concatenated, fit_refined, merge
 from featreg.scene.prior import Prior, corrected
 from featreg.scene.record import block_table, seconds_of, with_final
-from featreg.scene.state import BlockFiles, digest_of
+from featreg.scene.state import BlockFiles, check_folder, digest_of
 from featreg.scene.task import BlockResult, Job, run_block
 
 #: Most and fewest pilot blocks.
@@ -104,6 +104,8 @@ def match_scene(
         raise ParameterError("this pipeline has no matcher: give it one, or use featreg.fit with tie points")
     heights = options.heights()
     _check_heights(options, pipeline, (reference, secondary), initial)
+    if options.resume is not None:
+        check_folder(options.resume)  # before the prior and the pilot blocks take their time
     with collecting() as timings:
         with ExitStack() as stack:
             executor = stack.enter_context(open_executor(options.executor, options.workers))

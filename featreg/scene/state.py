@@ -32,6 +32,23 @@ def digest_of(content: Mapping[str, Any]) -> str:
     return digest_json(plain(content))
 
 
+def check_folder(folder: str | Path) -> Path:
+    """Make the folder of a run's blocks if it does not exist.
+
+    Raises
+    ------
+    InputError
+        It cannot be made or written to.
+    """
+    try:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"resume folder '{folder}': cannot be made ({error.strerror}); give a folder") from error
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise InputError(f"resume folder '{folder}': may not be written to, choose another")
+    return Path(folder)
+
+
 class BlockFiles:
     """The block files of one run in a folder.
 
@@ -47,13 +64,7 @@ class BlockFiles:
     """
 
     def __init__(self, folder: str | Path, digest: str) -> None:
-        self.folder, self.digest = Path(folder), digest
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"resume folder '{folder}': cannot be made ({error.strerror}); give a folder") from error
-        if not os.access(self.folder, os.W_OK | os.X_OK):
-            raise InputError(f"resume folder '{folder}': may not be written to, choose another")
+        self.folder, self.digest = check_folder(folder), digest
         # What a killed run left half written.
         for stray in self.folder.glob(f".block_{digest[:12]}_*.tmp"):
             stray.unlink(missing_ok=True)
