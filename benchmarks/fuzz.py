@@ -25,7 +25,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -54,6 +54,7 @@ COLUMNS = (
     "most MB",
 )
 Open = Callable[[Path], object]
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -120,7 +121,7 @@ def _bytes(content: bytes, rng: np.random.Generator) -> bytes:
 
 
 def _text(content: bytes, rng: np.random.Generator) -> bytes:
-    def some(items: Sequence[Any]) -> Any:
+    def some(items: Sequence[T]) -> T:
         return items[int(rng.integers(len(items)))]
 
     lines = content.split(b"\n")

@@ -18,6 +18,7 @@ import rasterio
 from rasterio.control import GroundControlPoint
 from rasterio.rpc import RPC
 from scipy.io import savemat
+from scipy.sparse import csc_array
 
 import featreg
 from featreg.cli.explain import explain_file
@@ -93,6 +94,11 @@ def scenes(root: Path) -> Iterator[Sound]:
     yield "windows", path, windows
     path = _folder(root, "array.mat") / "array.mat"
     savemat(path, {"amplitude": AMPLITUDE, "note": "x"}, do_compression=True)
+    yield "images", path, whole
+    path = _folder(root, "plain.mat") / "plain.mat"
+    cells = np.array([[1, "two", [3.0]]], object)
+    held = {"z": COMPLEX, "cells": cells, "tree": {"a": {"b": 1.5}}, "sparse": csc_array(np.eye(3))}
+    savemat(path, {"note": "x", **held, "flag": np.array([[True]])})
     yield "images", path, whole
     path = _folder(root, "mask") / "mask.png"
     cv2.imwrite(str(path), (gray > 30).astype(np.uint8) * 255)
@@ -187,7 +193,7 @@ def tables(root: Path) -> Iterator[Sound]:
     yield "tie points", path, read_tie_points
     yield "truths", path, read_truth
     path = _folder(root, "truth.txt") / "truth.txt"
-    np.savetxt(path, [[1.01, 0.02, 3.0], [-0.02, 0.99, 3.0], [0, 0, 1]])
+    np.savetxt(path, np.array([[1.01, 0.02, 3.0], [-0.02, 0.99, 3.0], [0.0, 0.0, 1.0]]))
     yield "truths", path, read_truth
     path = _folder(root, "truth.json") / "truth.json"
     result.to_json(path)

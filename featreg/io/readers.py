@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import InputError, suggest
+from featreg.io.mat_structure import check_mat
 from featreg.io.sicd import is_sicd, read_sicd
 from featreg.types import BoolArray, Geolocation
 
@@ -320,6 +321,7 @@ def _read_mat(path: Path, head: bytes, variable: str | None, most: float) -> Ras
     from scipy.io import loadmat, whosmat
 
     with _decoding(path, "MATLAB"):
+        check_mat(path)
         contents = whosmat(path)
         classes = {name: kind for name, _, kind in contents}
         shapes = {name: shape for name, shape, _ in contents}

@@ -232,7 +232,7 @@ def test_every_route_needs_the_token_and_this_very_host(client: Any) -> None:
     json_kind = {"content-type": "application/json"}
     for path, method in routes:
         assert path.startswith("/secret-token/")
-        body = {"content": '{"action": "undo"}', "headers": json_kind} if method == "POST" else {}
+        body: dict[str, Any] = {"content": '{"action": "undo"}', "headers": json_kind} if method == "POST" else {}
         assert client.request(method, path, **body).status_code == 200, (method, path)
         other = path.replace("secret-token", "secret-tokem")
         for wrong in (other, path.removeprefix("/secret-token"), f"/x{path}", f"/{path}", f"{other}?secret-token"):
