@@ -21,7 +21,7 @@ def explain(
         ),
     ],
 ) -> None:
-    """Say in plain words why a result is trusted or not, and what to try.
+    """Say why a result is trusted or not, and what to try.
 
     Every gate with what it measures, its value, its limit and why the limit is there; for a failed one the likely
     cause and what to try. Exit code 3 means that the result cannot be trusted.
