@@ -1,4 +1,4 @@
-"""The command line: `featreg match`, `compare`, `sweep`, `warp`, `export`, `focus`, `mark`, `list`, `demo`, `doctor`.
+"""The command line: `featreg match`, `explain`, `compare`, `sweep`, `warp`, `export`, `focus`, `mark` and others.
 
 Exit codes: 0 good; 1 an error of this program; 2 usage or bad input; 3 no trustworthy result (what was asked for is
 still written); 4 a comparison with failed rows; 130 interrupted. Whatever goes wrong is one line on stderr.
@@ -17,11 +17,12 @@ from typing import Annotated, Any
 import typer
 
 from featreg._version import __version__
-from featreg.cli import compare, demo, doctor, export, focus, listing, mark, match, sweep, warp
+from featreg.cli import compare, demo, doctor, explain, export, focus, listing, mark, match, sweep, warp
 from featreg.errors import FeatregError, UnknownNameError, suggest
 
 COMMANDS: dict[str, Callable[..., None]] = {
     "match": match.match,
+    "explain": explain.explain,
     "compare": compare.compare,
     "sweep": sweep.sweep,
     "warp": warp.warp,

@@ -131,6 +131,6 @@ def read_tie_points(
         raise InputError(f"tie points '{path}': {error}") from error
     except OSError as error:
         raise InputError(f"tie points '{path}' cannot be read: {error.strerror or error}") from error
-    except (ValueError, TypeError, LookupError, EOFError) as error:
+    except (ValueError, TypeError, LookupError, EOFError, ArithmeticError) as error:
         why = (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError(f"tie points '{path}' cannot be read: {why}") from error

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from featreg.exports.columns import matches_of_array
+from featreg.runtime.numpy_files import load_array
 from featreg.types import Matches
 
 
 def read(path: Path) -> Matches:
     """Read the array."""
-    return matches_of_array(np.load(path, allow_pickle=False))
+    return matches_of_array(load_array(path))

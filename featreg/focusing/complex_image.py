@@ -285,7 +285,9 @@ def _reason(failed: Mapping[str, Gate]) -> str:
     }
     names = [name for name in texts if name in failed]
     if names[0] in ("pulses", "cells"):
-        return texts[names[0]]
+        few = failed[names[0]]
+        found = "they lie in one place in range" if few.value is None else f"{few.value:.0f}, {few.low:.0f} are needed"
+        return f"{texts[names[0]]}: {found}"
     if len(names) > 1 and "deviation" in names:
         names.remove("deviation")
     values = {name: failed[name].value for name in names}

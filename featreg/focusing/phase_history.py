@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import InputError, ParameterError, PluginUnavailableError
+from featreg.io.mat_structure import check_mat
 from featreg.types import FloatArray, column, kept, read_only
 
 #: How far frequencies may be from evenly spaced, as a share of their spacing; float32 files round by 0.0004.
@@ -301,7 +302,10 @@ def _read_gotcha(path: Path) -> PhaseHistory:
     from scipy.io import loadmat
 
     try:
+        check_mat(path)
         content: Mapping[str, Any] = loadmat(path, variable_names=["data"])
+    except InputError:
+        raise
     except Exception as error:  # on foreign or broken bytes scipy raises nearly anything
         raise InputError(f"{path}: cannot be read as a MATLAB 5 file ({type(error).__name__})") from error
     data = content.get("data")

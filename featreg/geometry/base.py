@@ -60,7 +60,7 @@ def normalise(
     """
     r, s = np.asarray(reference_xy, np.float64), np.asarray(secondary_xy, np.float64)
     if r.size == 0 and s.size == 0:
-        return FailedFit(f"too few points: {minimum} needed, got 0")
+        return FailedFit(f"too few points: {minimum} needed, none given")
     if r.ndim != 2 or r.shape[1] != 2 or r.shape != s.shape:
         raise InputError(f"a fit needs two (M, 2) arrays of (x, y), got shapes {r.shape} and {s.shape}")
     w = np.ones(len(r)) if weights is None else np.asarray(weights, np.float64)
@@ -71,10 +71,12 @@ def normalise(
         return FailedFit(f"{int((~usable).sum())} of {len(r)} points or weights are not finite")
     if (w < 0).any():
         return FailedFit(f"{int((w < 0).sum())} of {len(r)} weights are negative")
+    given = len(r)
     if not w.all():
         r, s, w = r[w > 0], s[w > 0], w[w > 0]
     if len(r) < minimum:
-        return FailedFit(f"too few points: {minimum} needed, got {len(r)} of positive weight")
+        found = f"got {len(r)}" if len(r) else f"none of {given}"
+        return FailedFit(f"too few points: {minimum} needed, {found} of positive weight")
     # Two divisions: the mean of weights near the end of float64's range must not overflow.
     w = w / w.max()
     w = w / w.mean()

@@ -101,7 +101,8 @@ def fit_consensus(
         )  # fmt: skip
     none, count = np.zeros(len(reference), np.bool_), len(reference)
     if count < model_class.minimum:
-        return FailedFit(f"too few points: {model_class.minimum} needed, got {count}"), none
+        found = f"got {count}" if count else "none given"
+        return FailedFit(f"too few points: {model_class.minimum} needed, {found}"), none
     # A model that needs fewer points than an affine one may still have its few.
     kind = next((k for known, k in KINDS.items() if known is model_class), 3 if count >= Affine.minimum else 0)
     widths = [threshold]

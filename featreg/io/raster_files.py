@@ -22,6 +22,7 @@ from featreg.io.masks import holds_nodata
 from featreg.io.readers import Raster, gdal_dataset, geolocation_of, quiet, read_raster, reason
 from featreg.io.scales import real_pixels
 from featreg.io.window import Window
+from featreg.runtime.numpy_files import load_array
 from featreg.types import Geolocation
 
 #: Bytes that GDAL may keep of the tiles it has decoded, in each process; two rows of tiles of a wide scene.
@@ -162,7 +163,7 @@ class _Kept:
 def _mapped(stamp: Stamp) -> NDArray[Any]:
     path = stamp[0]
     try:
-        array = np.load(path, mmap_mode="r", allow_pickle=False)
+        array = load_array(path, "r")
     except (OSError, ValueError):
         array = read_raster(path).samples  # says what is wrong with it
     if array.ndim != 2 or array.dtype.kind not in "uifc":

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import InputError, suggest
+from featreg.io.mat_structure import check_mat
 from featreg.io.sicd import is_sicd, read_sicd
 from featreg.types import BoolArray, Geolocation
 
@@ -170,8 +171,15 @@ def gdal_dataset(source: str | Path) -> Iterator[Any]:
 
     with quiet(), rasterio.Env(**GDAL_OPTIONS), _decoding(path, driver.removeprefix("G").upper()):
         dataset = rasterio.open(path.absolute(), driver=driver)
-    with dataset:
-        yield dataset
+    from rasterio._err import CPLE_BaseError
+
+    try:
+        with dataset:
+            yield dataset
+    except CPLE_BaseError as error:  # rasterio lets some of GDAL's errors through as they are
+        raise InputError(
+            f"{path}: the file is broken or cut short ({reason(error)}); a complete file is needed"
+        ) from error
 
 
 def _gdal_driver(path: Path, head: bytes) -> str:
@@ -313,6 +321,7 @@ def _read_mat(path: Path, head: bytes, variable: str | None, most: float) -> Ras
     from scipy.io import loadmat, whosmat
 
     with _decoding(path, "MATLAB"):
+        check_mat(path)
         contents = whosmat(path)
         classes = {name: kind for name, _, kind in contents}
         shapes = {name: shape for name, shape, _ in contents}

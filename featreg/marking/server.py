@@ -130,11 +130,14 @@ class Guard:
             await self.app(scope, receive, send)
             return
         if scope["type"] != "http":
+            await send({"type": "websocket.close", "code": 1008})
             return
         headers = dict(scope["headers"])
-        said = scope["path"].split("/")[1].encode()
+        said = scope["path"].removeprefix("/").partition("/")[0].encode(errors="replace")
         known = hmac.compare_digest(said, self.token)
-        here = headers.get(b"host") in self.hosts
+        # Two Host headers would leave it open which of them whoever comes before this server went by.
+        named = [value for name, value in scope["headers"] if name == b"host"]
+        here = len(named) == 1 and named[0] in self.hosts
         origin = headers.get(b"origin")
         same = origin is None or origin in {b"http://" + host for host in self.hosts}
         json_only = scope["method"] in ("GET", "HEAD") or headers.get(b"content-type") == b"application/json"

@@ -15,6 +15,7 @@ from featreg.pipeline.inputs import input_image
 from featreg.pipeline.refine import Refine
 from featreg.pipeline.steps import Draft, filtered, fitted, judged, refined
 from featreg.pipeline.trust import Limits
+from featreg.results.losses import image_words
 from featreg.results.registration import Registration
 from featreg.runtime.timing import collecting, stage
 from featreg.runtime.versions import versions
@@ -82,7 +83,11 @@ class Pipeline:
             steps.advance()
             stages = self.filtered(matches, *shapes, seed=seed, initial=initial, search_radius=search_radius)
             steps.advance()
-            draft = self.fitted(matches, stages)
+            far = None if search_radius is None else f"lies within {search_radius:g} px of the initial model"
+            draft = self.fitted(matches, stages, {} if far is None else {"initial": far})
+            if not len(matches):
+                seen = [image_words(r, input_image(i)) for r, i in (("reference", reference), ("secondary", secondary))]
+                draft = draft.without_model("; ".join(seen))
             steps.advance()
             if self.refine is not None:
                 with stage("refine"):
@@ -133,9 +138,11 @@ class Pipeline:
         """The filters that a scene may run block by block: those before the first that looks at all tie points."""
         return tuple(takewhile(lambda step: step[1].local, self.filters))
 
-    def fitted(self, matches: Matches, stages: Mapping[str, BoolArray]) -> Draft:
-        """The model of what the stages kept."""
-        return fitted(matches, stages, self.model, self.n_features, robust=self.robust)
+    def fitted(
+        self, matches: Matches, stages: Mapping[str, BoolArray], meanings: Mapping[str, str] | None = None
+    ) -> Draft:
+        """The model of what the stages kept; `meanings` as in `featreg.pipeline.steps.fitted`."""
+        return fitted(matches, stages, self.model, self.n_features, robust=self.robust, meanings=meanings)
 
     def judged(
         self,

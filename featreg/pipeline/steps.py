@@ -16,6 +16,7 @@ from featreg.geometry.robust import irls
 from featreg.interfaces import FailedFit, Filter, FilterContext, Model
 from featreg.pipeline.refine import Refined
 from featreg.pipeline.trust import Evidence, Limits, assess
+from featreg.results.losses import why_no_fit
 from featreg.runtime.timing import stage
 from featreg.types import BoolArray, FloatArray, Gate, IntArray, Matches
 
@@ -45,6 +46,12 @@ class Draft:
     putative: BoolArray
     inliers: BoolArray
     model: Model | FailedFit
+
+    def without_model(self, more: str) -> Draft:
+        """The same draft, whose failure to fit a model, if it failed, says `more` of what was there to begin with."""
+        if not isinstance(self.model, FailedFit) or not more:
+            return self
+        return replace(self, model=FailedFit(f"{self.model.reason}; {more}"))
 
 
 def filtered(
@@ -77,12 +84,20 @@ def survivors(stages: Mapping[str, BoolArray], count: int) -> BoolArray:
 
 
 def fitted(
-    matches: Matches, stages: Mapping[str, BoolArray], kind: type[Model], n_features: int, *, robust: bool = True
+    matches: Matches,
+    stages: Mapping[str, BoolArray],
+    kind: type[Model],
+    n_features: int,
+    *,
+    robust: bool = True,
+    meanings: Mapping[str, str] | None = None,
 ) -> Draft:
     """Fit a model to what the stages kept.
 
     The inliers are the tie points that the fit did not leave out, at most `n_features` distinct ones, best score first.
     A `robust` fit is iteratively reweighted, from the inverse variances of the tie points where these are known.
+    Where no model can be made, the failure names the stage that left too few; `meanings` says what those have in common
+    that a stage keeps, where the caller knows more than `featreg.results.losses.STAGES`.
     """
     with stage("model"):
         kept = survivors(stages, len(matches))
@@ -94,7 +109,10 @@ def fitted(
         else:
             model, weights = kind.from_estimate(here, there), np.ones(len(here))
         inliers = np.zeros(len(matches), np.bool_)
-        if not isinstance(model, FailedFit):
+        if isinstance(model, FailedFit):
+            counts = {name: int(mask.sum()) for name, mask in stages.items()}
+            model = FailedFit(why_no_fit(len(matches), counts, kind.minimum, model.reason, meanings))
+        else:
             rows = np.flatnonzero(kept)[weights > 0]
             rows = rows[np.argsort(-matches.score[rows], kind="stable")]
             inliers[rows[_distinct_rows(matches.reference_xy[rows])][:n_features]] = True

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -238,4 +238,18 @@ def assess(
         if value is not None:
             gates[condition.name] = Gate(value, low, high, condition.meaning)
     gates.update(further or {})
-    return *verdict(gates), gates
+    told = {
+        name: replace(gate, unknown=why_unknown(evidence, model)) if gate.value is None and not gate.unknown else gate
+        for name, gate in gates.items()
+    }
+    return *verdict(told), told
+
+
+def why_unknown(evidence: Evidence, model: Model) -> str:
+    """Return why a measure of the final tie points has no value."""
+    count = int(evidence.inliers.sum())
+    if not count:
+        return "there is no final tie point"
+    if count < 2 * model.minimum:
+        return f"only {count} final tie points, a model of this kind needs {model.minimum} of each half of them"
+    return f"parts of the {count} final tie points, by themselves in one place or on a line, do not determine a model"

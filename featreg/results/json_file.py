@@ -137,7 +137,7 @@ def read_registration(path: str | Path, make: Callable[..., R]) -> R:
         raise InputError(f"cannot read '{error.filename or path}': {error.strerror}") from error
     except KeyError as error:
         raise InputError(f"'{path}' is not a featreg result: {error.args[0]} is missing") from error
-    except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
+    except (ValueError, TypeError, LookupError, AttributeError, ArithmeticError, RecursionError) as error:
         why = (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError(f"'{path}' is not a whole featreg result: {why}") from error
 

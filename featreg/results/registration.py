@@ -11,6 +11,7 @@ import numpy as np
 
 from featreg.errors import InputError
 from featreg.interfaces import FailedFit, Model
+from featreg.results.explaining import explain_registration
 from featreg.results.input_image import InputImage
 from featreg.results.json_file import read_registration, write_registration
 from featreg.results.standard_errors import standard_errors as rigid_errors
@@ -73,6 +74,10 @@ class Registration:
     def standard_errors(self) -> Mapping[str, Any]:
         """Of a rigid model: ``rotation_deg_se``, ``shift_se_px`` (x, y at the image centre), ``degrees_of_freedom``."""
         return rigid_errors(self)
+
+    def explain(self) -> str:
+        """Return in plain words what the verdict rests on: every gate, and for a failed one the cause and the cure."""
+        return explain_registration(self)
 
     def to_json(self, path: str | Path) -> None:
         """Write the result as one JSON file (beyond 20 000 tie points, these stand in a Parquet file beside it)."""

@@ -163,6 +163,7 @@ def block_gates(
     return {
         "search": Gate(
             off, high=limit, meaning="median distance of the tie points from where the blocks were searched, px",
+            unknown="" if len(here) else "no tie point passed the filters of its block",
         ),
         "blocks": Gate(
             share, low=limits.block_share,
@@ -171,10 +172,12 @@ def block_gates(
         "block_error": Gate(
             local, high=limits.block_error_px,
             meaning="median distance of a block's own tie points from the model, all but the worst 5 % of blocks, px",
+            unknown="" if len(known) else f"no block has {CHECK_POINTS} tie points of its own that move alike",
         ),
         "held_out_rmse": Gate(
             error, high=limits.held_out_rmse_px,
             meaning="RMSE of the tie points of each half of the blocks from the model of the other, px",
+            unknown="" if error is not None else "the tie points of every second block do not determine a model",
         ),
     }  # fmt: skip
 

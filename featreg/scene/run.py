@@ -20,6 +20,7 @@ from featreg.io.raster_source import ImageSource, Source
 from featreg.pipeline.inputs import input_image
 from featreg.pipeline.pipeline import Pipeline
 from featreg.pipeline.steps import refined
+from featreg.results.losses import block_words, heights_words
 from featreg.results.registration import Registration
 from featreg.runtime.executors import TaskExecutor, open_executor
 from featreg.runtime.parameters import check
@@ -31,7 +32,7 @@ from featreg.scene.first_prior import first_prior
 from featreg.scene.merge import Merged, accuracy, block_errors, block_gates, concatenated, fit_refined, merge
 from featreg.scene.prior import Prior, corrected
 from featreg.scene.record import block_table, seconds_of, with_final
-from featreg.scene.state import BlockFiles, digest_of
+from featreg.scene.state import BlockFiles, check_folder, digest_of
 from featreg.scene.task import BlockResult, Job, run_block
 
 #: Most and fewest pilot blocks.
@@ -106,6 +107,8 @@ def match_scene(
         raise ParameterError("this pipeline has no matcher: give it one, or use featreg.fit with tie points")
     heights = options.heights()
     _check_heights(options, pipeline, (reference, secondary), initial)
+    if options.resume is not None:
+        check_folder(options.resume)  # before the prior and the pilot blocks take their time
     with _finished_blocks_kept(options.resume), collecting() as timings:
         with ExitStack() as stack:
             executor = stack.enter_context(open_executor(options.executor, options.workers))
@@ -301,7 +304,11 @@ def _finished(
     counts, table, seconds = record
     matches, owners, shapes = merged.matches, merged.blocks, (reference.shape, secondary.shape)
     known: Any = {"seed": seed, "initial": initial, "search_radius": search_radius}
-    draft = pipeline.fitted(matches, pipeline.filtered(matches, *shapes, before=merged.stages, **known))
+    ground = heights_words(options.heights().to_dict()) if prior.source.startswith("geolocation") else ""
+    where = f"lies within {prior.uncertainty_px:.0f} px of where the prior ({prior.source}) says"
+    stages = pipeline.filtered(matches, *shapes, before=merged.stages, **known)
+    draft = pipeline.fitted(matches, stages, {"prior": ", ".join(part for part in (where, ground) if part)})
+    draft = draft.without_model(block_words(table["status"], table["reason"]))
     if pipeline.refine is not None:
         with stage("refine"):
             found, mine = None, owners[:0]

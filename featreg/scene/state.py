@@ -10,7 +10,6 @@ from __future__ import annotations
 import io
 import logging
 import os
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -21,6 +20,7 @@ from featreg.errors import InputError
 from featreg.results.json_file import plain
 from featreg.runtime.digests import digest_arrays, digest_json
 from featreg.runtime.files import write_atomic
+from featreg.runtime.numpy_files import load_arrays
 from featreg.scene.blocks import Block
 from featreg.scene.task import BlockResult, columns_of, from_columns
 
@@ -30,6 +30,23 @@ logger = logging.getLogger(__name__)
 def digest_of(content: Mapping[str, Any]) -> str:
     """SHA-256 of values in a canonical form."""
     return digest_json(plain(content))
+
+
+def check_folder(folder: str | Path) -> Path:
+    """Make the folder of a run's blocks if it does not exist.
+
+    Raises
+    ------
+    InputError
+        It cannot be made or written to.
+    """
+    try:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"resume folder '{folder}': cannot be made ({error.strerror}); give a folder") from error
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise InputError(f"resume folder '{folder}': may not be written to, choose another")
+    return Path(folder)
 
 
 class BlockFiles:
@@ -47,13 +64,7 @@ class BlockFiles:
     """
 
     def __init__(self, folder: str | Path, digest: str) -> None:
-        self.folder, self.digest = Path(folder), digest
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"resume folder '{folder}': cannot be made ({error.strerror}); give a folder") from error
-        if not os.access(self.folder, os.W_OK | os.X_OK):
-            raise InputError(f"resume folder '{folder}': may not be written to, choose another")
+        self.folder, self.digest = check_folder(folder), digest
         # What a killed run left half written.
         for stray in self.folder.glob(f".block_{digest[:12]}_*.tmp"):
             stray.unlink(missing_ok=True)
@@ -66,8 +77,7 @@ class BlockFiles:
         path = self.path(block)
         try:
             content = path.read_bytes()
-            with np.load(io.BytesIO(content), allow_pickle=False) as file:
-                columns = {name: file[name] for name in file.files}
+            columns = load_arrays(io.BytesIO(content))
             if str(columns.pop("digest")) != self.digest or str(columns.pop("checksum")) != digest_arrays(columns):
                 raise ValueError("its digest or its checksum is not that of this block")
             result = from_columns(columns)
@@ -75,7 +85,7 @@ class BlockFiles:
                 raise ValueError("it holds another block")
         except FileNotFoundError:
             return None
-        except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, NotImplementedError) as error:
+        except (OSError, ValueError, KeyError, TypeError) as error:
             logger.warning("block file %s is not used, its block is computed again (%s)", path, error)
             return None
         return result

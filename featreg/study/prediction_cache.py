@@ -6,7 +6,6 @@ import dataclasses
 import inspect
 import io
 import sys
-import zipfile
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -23,6 +22,7 @@ from featreg.results.json_file import write_registration
 from featreg.results.registration import Registration
 from featreg.runtime.digests import digest_bytes, digest_value
 from featreg.runtime.files import write_atomic
+from featreg.runtime.numpy_files import load_arrays
 from featreg.types import FloatArray
 
 #: Rooms that only look at results: a new metric matches nothing again.
@@ -85,9 +85,9 @@ class PredictionCache:
         if self.folder is None or key is None or not (self.folder / f"{key}.npz").is_file():
             return None
         try:
-            with np.load(self.folder / f"{key}.npz", allow_pickle=False) as kept:
-                xy, mark = kept["xy"], str(kept["key"])
-        except (OSError, ValueError, LookupError, EOFError, zipfile.BadZipFile):
+            kept = load_arrays(self.folder / f"{key}.npz")
+            xy, mark = kept["xy"], str(kept["key"])
+        except (OSError, ValueError, LookupError):
             return None
         whole = mark == key and xy.dtype == np.float64 and xy.ndim == 2 and xy.shape[1] == 2 and np.isfinite(xy).all()
         return xy if whole else None

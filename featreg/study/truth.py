@@ -15,6 +15,7 @@ from featreg.errors import FeatregError, InputError
 from featreg.geometry import Affine, model_from_dict, model_from_matrix
 from featreg.interfaces import FailedFit, Model
 from featreg.results.registration import Registration
+from featreg.runtime.numpy_files import load_array
 from featreg.types import FloatArray, points, read_only
 
 #: Fewest marked points: an affine needs three, and only a fourth says how well they agree.
@@ -204,7 +205,7 @@ def _from_file(path: Path, images: tuple[Any, Any] | None = None) -> Truth:
         raise InputError(f"{what} must be a {', '.join(TRUTH_SUFFIXES)} file, or one of the words {', '.join(WORDS)}")
     try:
         if suffix == ".npy":
-            return _from_array(np.load(path, allow_pickle=False), what)
+            return _from_array(load_array(path), what)
         if suffix == ".json":
             return _from_json(path, what)
         return _from_text(path, what) if suffix in (".txt", ".csv") else _from_tie_points(path, what, *files)
@@ -214,7 +215,7 @@ def _from_file(path: Path, images: tuple[Any, Any] | None = None) -> Truth:
         raise InputError(f"{what} cannot be used: {error}") from error
     except OSError as error:
         raise InputError(f"{what} cannot be read: {error.strerror or error}") from error
-    except (ValueError, TypeError, LookupError, EOFError) as error:
+    except (ValueError, TypeError, LookupError, EOFError, ArithmeticError, RecursionError) as error:
         why = (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError(f"{what} cannot be read: {why}") from error
 

@@ -19,12 +19,14 @@ class Gate:
     value : what was found; None, as whatever is not finite becomes, where it cannot be told
     low, high : the limits, None for none
     meaning : of the value, with its unit
+    unknown : why the value cannot be told, where it cannot
     """
 
     value: float | None
     low: float | None = None
     high: float | None = None
     meaning: str = ""
+    unknown: str = ""
 
     def __post_init__(self) -> None:
         if self.value is not None:
@@ -42,17 +44,19 @@ class Gate:
         """Why it failed, in words; empty where it passed."""
         if self.passed:
             return ""
-        found = "undefined" if self.value is None else f"{self.value:.3g}"
-        if self.low is not None and (self.value is None or self.value < self.low):
-            found += f" is below {self.low:.3g}"
-        elif self.high is not None:
-            found += f" is above {self.high:.3g}"
+        if self.value is None:
+            found = f"cannot be told: {self.unknown}" if self.unknown else "cannot be told"
+        elif self.low is not None and self.value < self.low:
+            found = f"{self.value:.3g} is below {self.low:.3g}"
+        else:
+            found = f"{self.value:.3g} is above {self.high:.3g}"
         return f"{found} ({self.meaning})"
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what a file holds of it: value, passed, low, high, meaning."""
+        """Return what a file holds of it: value, passed, low, high, meaning, and unknown where there is a reason."""
         limits = {"low": self.low, "high": self.high}
-        return {"value": self.value, "passed": self.passed, **limits, "meaning": self.meaning}
+        why = {"unknown": self.unknown} if self.unknown else {}
+        return {"value": self.value, "passed": self.passed, **limits, "meaning": self.meaning, **why}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Self:

@@ -213,7 +213,7 @@ def test_neighbouring_cells_are_one_place_however_many() -> None:
     image = np.zeros((SIDE, 96), np.complex64)
     image[:, 40:46] = speckle((SIDE, 6))
     result = featreg.focus(image, "pga")
-    assert result.reason == "too few range cells with independent scatterers to check the phase"
+    assert result.reason.startswith("too few range cells with independent scatterers to check the phase: ")
     assert not result.gates["cells"].passed
     assert result.gates["cells"].value is None
     assert result.gates["entropy"].passed

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from pathlib import Path
 from typing import Any
 
@@ -213,6 +214,73 @@ def test_without_the_token_nothing_is_told(client: Any, path: str) -> None:
 def test_other_hosts_and_other_sites_are_refused(client: Any, headers: dict[str, str]) -> None:
     assert client.get("/secret-token/state", headers=headers).status_code == 403
     assert client.get("/secret-token/state", headers={"origin": HERE}).status_code == 200
+
+
+def filled(path: str) -> str:
+    """A route's path with something in every place of it."""
+    return (
+        path.replace("{role}", "reference")
+        .replace("{level:int}", "0")
+        .replace("{column:int}", "0")
+        .replace("{row:int}", "0")
+    )
+
+
+def test_every_route_needs_the_token_and_this_very_host(client: Any) -> None:
+    routes = [(filled(route.path), method) for route in client.app.app.routes for method in sorted(route.methods)]
+    assert len({path for path, _ in routes}) == 6
+    json_kind = {"content-type": "application/json"}
+    for path, method in routes:
+        assert path.startswith("/secret-token/")
+        body: dict[str, Any] = {"content": '{"action": "undo"}', "headers": json_kind} if method == "POST" else {}
+        assert client.request(method, path, **body).status_code == 200, (method, path)
+        other = path.replace("secret-token", "secret-tokem")
+        for wrong in (other, path.removeprefix("/secret-token"), f"/x{path}", f"/{path}", f"{other}?secret-token"):
+            assert client.request(method, wrong, **body).status_code == 403, (method, wrong)
+        for host in (
+            "evil.example",
+            f"evil.example:{PORT}",
+            "127.0.0.1",
+            f"127.0.0.1.evil.example:{PORT}",
+            "",
+            f"[::1]:{PORT}",
+        ):
+            headers = {**body.get("headers", {}), "host": host}
+            refused = client.request(method, path, content=body.get("content"), headers=headers)
+            assert refused.status_code == 403, (method, path, host)
+            assert "secret" not in refused.text
+
+
+@pytest.mark.parametrize(
+    ("path", "hosts"),
+    [
+        ("/secret-token/state", []),
+        ("/secret-token/state", [f"127.0.0.1:{PORT}", "evil.example"]),
+        ("/secret-token/state", ["evil.example", f"127.0.0.1:{PORT}"]),
+        ("*", [f"127.0.0.1:{PORT}"]),
+        ("", [f"127.0.0.1:{PORT}"]),
+        ("/\udcff/", [f"127.0.0.1:{PORT}"]),
+    ],
+)
+def test_requests_that_no_browser_sends_are_refused_too(client: Any, path: str, hosts: list[str]) -> None:
+    sent: list[dict[str, Any]] = []
+
+    async def send(message: dict[str, Any]) -> None:
+        sent.append(message)
+
+    async def receive() -> dict[str, Any]:
+        return {"type": "http.request", "body": b"", "more_body": False}
+
+    headers = [(b"host", host.encode()) for host in hosts]
+    scope = {"type": "http", "method": "GET", "path": path, "headers": headers, "query_string": b""}
+    asyncio.run(client.app(scope, receive, send))
+    assert sent[0]["status"] == 403
+
+
+def test_no_socket_is_opened(client: Any) -> None:
+    disconnect = pytest.importorskip("starlette.websockets").WebSocketDisconnect
+    with pytest.raises(disconnect), client.websocket_connect("/secret-token/state"):
+        pass
 
 
 def test_a_form_of_another_site_cannot_act(client: Any) -> None:

@@ -23,10 +23,11 @@ from featreg.types import Gate, verdict
         (Gate(2.0, 0.4, 2.5, "scale"), ""),
         (Gate(0.3, 0.4, 2.5, "scale"), "0.3 is below 0.4 (scale)"),
         (Gate(2.6, 0.4, 2.5, "scale"), "2.6 is above 2.5 (scale)"),
-        (Gate(None, 0.4, 2.5, "scale"), "undefined is below 0.4 (scale)"),
-        (Gate(None, None, 2.5, "scale"), "undefined is above 2.5 (scale)"),
+        (Gate(None, 0.4, 2.5, "scale"), "cannot be told (scale)"),
+        (Gate(None, None, 2.5, "scale", "no tie point"), "cannot be told: no tie point (scale)"),
+        (Gate(2.6, 0.4, 2.5, "scale", "no tie point"), "2.6 is above 2.5 (scale)"),
         (Gate(-3.0, meaning="of no limit"), ""),
-        (Gate(None, meaning="of no limit"), "undefined (of no limit)"),
+        (Gate(None, meaning="of no limit"), "cannot be told (of no limit)"),
         (Gate(1e300, high=math.inf, meaning="px"), ""),
     ],
 )
@@ -55,6 +56,9 @@ def test_the_dict_has_the_keys_of_the_file_in_their_order_and_makes_the_gate_aga
         assert list(found) == ["value", "passed", "low", "high", "meaning"]
         assert found["passed"] is gate.passed
         assert Gate.from_dict(json.loads(json.dumps(found))) == gate
+    why = Gate(None, high=2.0, meaning="px", unknown="there is no tie point")
+    assert list(why.to_dict()) == ["value", "passed", "low", "high", "meaning", "unknown"]
+    assert Gate.from_dict(json.loads(json.dumps(plain(why)))) == why
 
 
 @pytest.mark.parametrize("change", [{"passed": True}, {"value": 6.0}, {"low": 3.0}, {"passed": None}])

@@ -1,0 +1,82 @@
+"""`docs/unreliable.md` says of every gate what the program says; run as a script, this file writes its tables."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+from featreg.pipeline.trust import CONDITIONS, Limits
+from featreg.results.gate_texts import FOCUS, REGISTRATION, GateText
+from featreg.results.losses import STAGES
+
+PAGE = Path(__file__).parents[2] / "docs" / "unreliable.md"
+#: Limits that are not those of `Limits`, and in words where a number alone does not tell.
+SAID = {
+    "prior": "at most `search_radius`",
+    "search": "at most 0.6 of the prior's uncertainty",
+    "distortion": "only where the method states one",
+    "dilution": "only where the method states one",
+    "blocks": f"at least {Limits().block_share:g}",
+    "block_error": f"at most {Limits().block_error_px:g}",
+    "held_out_rmse": f"at most {Limits().held_out_rmse_px:g}",
+}
+FOCUS_SAID = {
+    "pulses": "at least 8",
+    "cells": "at least 4",
+    "deviation": "at most 0.25",
+    "held out": "at most 0.25",
+    "settled": "at most 0.25",
+    "sharpness": "at least 0 where the entropy fell by more than 0.1 nats",
+    "entropy": "at most 0.01",
+    "blocks": "at least half of them",
+}
+
+
+def limits() -> dict[str, str]:
+    said = dict(SAID)
+    for condition in CONDITIONS:
+        if condition.name not in said:
+            low, high = condition.limits(Limits(), None)  # type: ignore[arg-type]  # only `prior` looks at its evidence
+            known = [f"at {word} {value:g}" for word, value in (("least", low), ("most", high)) if value is not None]
+            said[condition.name] = " and ".join(known)
+    return said
+
+
+def table(texts: Mapping[str, GateText], said: Mapping[str, str]) -> str:
+    rows = ["| gate | what it measures | limit | why there | what fails it | what to try |", "| --- " * 6 + "|"]
+    for name, text in texts.items():
+        cures = "; ".join(text.cures)
+        cells = [f"`{name}`", text.measures, said.get(name, ""), text.limit, text.cause, cures]
+        rows.append("| " + " | ".join(re.sub(r"(--[a-z][a-z-]*)", r"`\1`", cell) for cell in cells) + " |")
+    return "\n".join(rows)
+
+
+def sections() -> dict[str, str]:
+    stages = [f"| `{name}` | a tie point that it keeps {meaning} |" for name, meaning in STAGES.items()]
+    return {
+        "stages": "\n".join(["| stage | keeps |", "| --- | --- |", *stages]),
+        "registration": table(REGISTRATION, limits()),
+        "focus": table(FOCUS, FOCUS_SAID),
+    }
+
+
+def written(page: str) -> str:
+    for name, text in sections().items():
+        start, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
+        assert page.count(start) == page.count(end) == 1
+        page = page.partition(start)[0] + f"{start}\n{text}\n{end}" + page.partition(end)[2]
+    return page
+
+
+def test_the_page_says_what_the_program_says() -> None:
+    page = PAGE.read_text(encoding="utf-8")
+    assert page == written(page), f"python {Path(__file__).name} writes the tables anew"
+
+
+def test_the_readme_leads_to_it() -> None:
+    assert "](docs/unreliable.md)" in (PAGE.parents[1] / "README.md").read_text(encoding="utf-8")
+
+
+if __name__ == "__main__":
+    PAGE.write_text(written(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
