@@ -6,15 +6,15 @@ import logging
 import os
 import tempfile
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from featreg.errors import ParameterError
-from featreg.geolocation import ConstantHeight, DemHeights, Heights, RpcBias, Transfer, sensor_of
+from featreg.errors import InputError, ParameterError
+from featreg.geolocation import ConstantHeight, DemHeights, Heights, RpcBias, Transfer, ground_level, sensor_of
 from featreg.interfaces import Matcher, Model
 from featreg.io.raster_source import ImageSource, Source
 from featreg.pipeline.inputs import input_image
@@ -48,7 +48,8 @@ class SceneOptions:
     ----------
     block : side of a block, px
     executor, workers : see `featreg.runtime.executors.open_executor`
-    dem, height : heights of the ground: a file, or metres above the ellipsoid (0 where neither is given)
+    dem, height : heights of the ground: a file, or metres above the ellipsoid; where neither is given the height offset
+        of an RPC, else 0
     resume : folder in which finished blocks are kept and looked for
     progress : called with (blocks done, blocks in all)
     cancel : when set, the work stops with a `CancelledError`
@@ -63,11 +64,21 @@ class SceneOptions:
     progress: Progress | None = None
     cancel: Canceller | None = None
 
-    def heights(self) -> Heights:
-        """The heights of the ground."""
+    def heights(self, *sources: Source) -> tuple[Heights, str]:
+        """The heights of the ground under the scenes, and where they come from."""
         if self.dem is not None and self.height is not None:
             raise ParameterError("heights come from a DEM file or from one height, not from both: leave out one")
-        return ConstantHeight(self.height or 0.0) if self.dem is None else DemHeights(os.path.abspath(self.dem))
+        if self.dem is not None:
+            return DemHeights(os.path.abspath(self.dem)), "elevation model"
+        if self.height is not None:
+            return ConstantHeight(self.height), "stated"
+        sensors = []
+        for source in sources:
+            # Whoever needs the geolocation says what is wrong with it.
+            with suppress(InputError):
+                sensors.append(sensor_of(source.geolocation, source.shape, source.name))
+        level, whence = ground_level(*sensors)
+        return ConstantHeight(level), whence
 
 
 def match_scene(
@@ -101,7 +112,7 @@ def match_scene(
     matcher = pipeline.matcher
     if matcher is None:
         raise ParameterError("this pipeline has no matcher: give it one, or use featreg.fit with tie points")
-    heights = options.heights()
+    heights, whence = options.heights(reference, secondary)
     _check_heights(options, pipeline, (reference, secondary), initial)
     with collecting() as timings:
         with ExitStack() as stack:
@@ -119,14 +130,16 @@ def match_scene(
             with stage("prior"):
                 prior = _piloted(job, prior, blocks, executor, options.cancel, seed)
             with stage("blocks"):
-                results, counts = _all_blocks(job, prior, blocks, executor, options, pipeline, (reference, secondary))
+                results, counts = _all_blocks(
+                    job, prior, blocks, executor, options, pipeline, (reference, secondary), heights
+                )
         # The workers are gone, and the columns of the blocks go once they are put together: what is left to do needs
         # the memory more.
         record = {**counts, "size": options.block, "halo": job.halo}, block_table(blocks, results), seconds_of(results)
         merged = merge(results, ["prior", *(name for name, _ in job.filters)])
         results.clear()
         return _finished(
-            pipeline, merged, blocks, record, prior, reference, secondary, options,
+            pipeline, merged, blocks, record, prior, reference, secondary, {**heights.to_dict(), "source": whence},
             seed=seed, initial=initial, search_radius=search_radius, timings=timings,
         )  # fmt: skip
 
@@ -208,11 +221,12 @@ def _all_blocks(
     options: SceneOptions,
     pipeline: Pipeline,
     sources: Sequence[Source],
+    heights: Heights,
 ) -> tuple[list[BlockResult], dict[str, int]]:
     """Every block, from its file where there is a sound one; finished ones are saved as they come."""
     files = None
     if options.resume is not None:
-        files = BlockFiles(options.resume, digest_of(_ingredients(job, prior, options, pipeline, blocks, sources)))
+        files = BlockFiles(options.resume, digest_of(_ingredients(job, prior, heights, pipeline, blocks, sources)))
     results = [] if files is None else [r for r in (files.load(block) for block in blocks) if r is not None]
     reused = len(results)
     known = {r.index for r in results}
@@ -242,7 +256,7 @@ def _all_blocks(
 def _ingredients(
     job: Job,
     prior: Prior,
-    options: SceneOptions,
+    heights: Heights,
     pipeline: Pipeline,
     blocks: Sequence[Block],
     sources: Sequence[Source],
@@ -262,7 +276,7 @@ def _ingredients(
         "n_features": job.n_features,
         "halo": job.halo,
         "prior": [prior.record(), base.parameters if isinstance(base, Transfer | Model) else repr(base)],
-        "heights": options.heights().to_dict(),
+        "heights": heights.to_dict(),
         "blocks": [[b.index, b.window.x, b.window.y, b.window.width, b.window.height] for b in blocks],
         "versions": versions(),
     }
@@ -276,7 +290,7 @@ def _finished(
     prior: Prior,
     reference: Source,
     secondary: Source,
-    options: SceneOptions,
+    heights: dict[str, Any],
     *,
     seed: int,
     initial: Model | None,
@@ -315,7 +329,7 @@ def _finished(
             "block_table": with_final(table, owners[result.inliers]),
             "tie_point_blocks": owners,
             "prior": prior.record(),
-            "heights": options.heights().to_dict(),
+            "heights": heights,
             "accuracy": accuracy(result.model, final, errors, result.gates, reference.shape),
             "block_seconds": seconds,
         },
