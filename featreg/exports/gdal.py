@@ -33,7 +33,7 @@ def write(content: Content, path: Path) -> None:
     Raises
     ------
     InputError
-        The secondary's file is not at hand (``.vrt`` and ``.tif`` need it), or GDAL does not read back what was written.
+        The secondary's file is not at hand (``.vrt`` and ``.tif`` need it), or GDAL does not read them back.
     """
     pixel, line = (content.matches.secondary_xy + PIXEL_OFFSET).T
     ground = ground_of(content.reference, content.matches.reference_xy, content.model)

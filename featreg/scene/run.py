@@ -17,6 +17,7 @@ from featreg.errors import InputError, ParameterError
 from featreg.geolocation import ConstantHeight, DemHeights, Heights, RpcBias, Transfer, ground_level, sensor_of
 from featreg.interfaces import Matcher, Model
 from featreg.io.raster_source import ImageSource, Source
+from featreg.pipeline.frame import linear_at
 from featreg.pipeline.inputs import input_image
 from featreg.pipeline.pipeline import Pipeline
 from featreg.pipeline.steps import refined
@@ -36,6 +37,9 @@ from featreg.scene.task import BlockResult, Job, run_block
 #: Most and fewest pilot blocks.
 PILOTS = 9
 LEAST_PILOTS = 4
+#: How far, px, pilot blocks are searched around what two geolocations say, one step after the other, when they do not
+#: agree on less: what products without precise orbits, or with a wrong geoid, are off by.
+SEARCH_PX = (100.0, 300.0)
 
 logger = logging.getLogger(__name__)
 
@@ -202,15 +206,26 @@ def _job(
 def _piloted(
     job: Job, prior: Prior, blocks: Sequence[Block], executor: TaskExecutor, cancel: Canceller | None, seed: int
 ) -> Prior:
-    """The prior, corrected by a few blocks that were searched as widely as its uncertainty asks."""
+    """The prior, corrected by a few blocks that were searched as widely as its uncertainty asks.
+
+    Where these do not agree, the geography of the images is taken to be off by more: they are searched more widely, in
+    steps up to a limit, which the prior records where nothing is found either.
+    """
     pilots = spread_out(tuple(blocks), min(PILOTS, max(LEAST_PILOTS, len(blocks) // 8)))
-    found = sorted(
-        (result for _, result in executor.run(run_block, (replace(job, refine=None), prior.widened()), pilots, cancel)),
-        key=lambda result: result.index,
-    )
-    done = [r for r in found if r.status == "done"]
-    together = concatenated([r.matches.take(r.supported) for r in done])
-    return corrected(prior, together.reference_xy, together.secondary_xy, np.random.default_rng([seed, len(blocks)]))
+    first = prior.widened()
+    wider = [r for r in SEARCH_PX if r > first.uncertainty_px] if prior.stated else []
+    for search in (first, *(replace(prior, uncertainty_px=radius) for radius in wider)):
+        found = sorted(
+            (result for _, result in executor.run(run_block, (replace(job, refine=None), search), pilots, cancel)),
+            key=lambda result: result.index,
+        )
+        done = [r for r in found if r.status == "done"]
+        together = concatenated([r.matches.take(r.supported) for r in done])
+        rng = np.random.default_rng([seed, len(blocks)])
+        better = corrected(prior, together.reference_xy, together.secondary_xy, rng)
+        if better is not prior or not done:
+            return better
+    return replace(prior, searched_px=search.uncertainty_px)
 
 
 def _all_blocks(
@@ -318,7 +333,17 @@ def _finished(
             gates = block_gates(
                 blocks, tried, owners[draft.inliers], final, draft.model, merged, prior, pipeline.limits
             )
-    result = pipeline.judged(draft, reference.shape, merged.chance_shape, further=gates, seconds=timings, **known)
+    stated = None
+    if prior.stated and draft.model:
+        # The blocks lie where both images see the ground.
+        middle = np.mean([b.window.origin + np.array(b.window.shape[::-1]) / 2 for b in blocks], axis=0)
+        stated = linear_at(prior, middle)
+    result = pipeline.judged(
+        draft, reference.shape, merged.chance_shape, further=gates, seconds=timings, stated=stated, **known
+    )
+    if result.status != "ok" and prior.searched_px:
+        why = f"pilot blocks found no agreement within {prior.searched_px:.0f} px of where both geolocations say"
+        result = replace(result, reason=f"{result.reason}; {why}")
     errors = block_errors(merged, result.model, len(blocks)) if result.model else np.zeros(0)
     return replace(
         result,
@@ -328,7 +353,7 @@ def _finished(
             "blocks": counts,
             "block_table": with_final(table, owners[result.inliers]),
             "tie_point_blocks": owners,
-            "prior": prior.record(),
+            "prior": prior.record() | ({} if stated is None else {"linear": stated.tolist()}),
             "heights": heights,
             "accuracy": accuracy(result.model, final, errors, result.gates, reference.shape),
             "block_seconds": seconds,
