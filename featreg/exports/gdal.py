@@ -59,6 +59,11 @@ def _write_raster(content: Content, path: Path, rows: FloatArray, crs: str) -> N
     source = Path(content.secondary.path)
     if not source.is_file():
         raise InputError(f"GCPs in a {path.suffix} need the secondary's file, '{source}' is not there; give it")
+    if not str(source.resolve()).isprintable():
+        raise InputError(
+            f"{str(source)!a}: its name holds what GDAL's VRT cannot (control characters, no UTF-8); rename it, or "
+            "write a .txt"
+        )
     points: list[Any] = [
         GroundControlPoint(row=line, col=pixel, x=x, y=y, z=z, id=str(k))
         for k, (pixel, line, x, y, z) in enumerate(rows.tolist(), 1)
@@ -77,7 +82,10 @@ def _write_raster(content: Content, path: Path, rows: FloatArray, crs: str) -> N
 
 
 def _without_place(vrt: Path) -> None:
-    tree = ElementTree.parse(vrt)
+    try:
+        tree = ElementTree.parse(vrt)
+    except ElementTree.ParseError as error:
+        raise OSError(f"GDAL's VRT of the secondary cannot be read back: {error}") from error
     root = tree.getroot()
     for element in list(root):
         if element.tag in PLACING or element.get("domain") in PLACING_DOMAINS:
@@ -89,6 +97,8 @@ def _read_back(path: Path, rows: FloatArray) -> None:
     """Raise where GDAL does not see these control points, and them alone."""
     import rasterio
 
+    # Whatever GDAL keeps beside the file does not come along with it.
+    path.with_name(f"{path.name}.aux.xml").unlink(missing_ok=True)
     with rasterio.open(path.absolute()) as dataset:
         found, _ = dataset.gcps
         alone = dataset.transform.is_identity and not dataset.rpcs

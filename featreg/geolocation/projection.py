@@ -27,16 +27,19 @@ class Projection:
     crs: str
 
     def __post_init__(self) -> None:
+        from rasterio import Env
         from rasterio.crs import CRS
         from rasterio.errors import CRSError
 
-        try:
-            known = CRS.from_user_input(self.crs)
-        except CRSError as error:
-            check_proj()
-            raise InputError(f"unknown coordinate system {self.crs!r:.80}") from error
-        geographic = bool(known.is_geographic)
-        same = geographic and (known == CRS.from_epsg(4326) or known.to_epsg() == 4326)
+        # In an environment of rasterio's GDAL writes no lines of its own on stderr.
+        with Env():
+            try:
+                known = CRS.from_user_input(self.crs)
+                geographic = bool(known.is_geographic)
+                same = geographic and (known == CRS.from_epsg(4326) or known.to_epsg() == 4326)
+            except CRSError as error:
+                check_proj()
+                raise InputError(f"unknown coordinate system {self.crs!r:.80}") from error
         object.__setattr__(self, "_plain", same)
         object.__setattr__(self, "_turn", 2 * math.pi / known.units_factor[1] if geographic else 0.0)
 
@@ -75,11 +78,13 @@ def near(longitudes: FloatArray, middle: float, turn: float) -> FloatArray:
 
 def check_proj() -> None:
     """Raise an `InputError` where PROJ finds no coordinate system: its data are missing or of another version."""
+    from rasterio import Env
     from rasterio.crs import CRS
     from rasterio.errors import CRSError
 
     try:
-        CRS.from_epsg(4326)
+        with Env():
+            CRS.from_epsg(4326)
     except CRSError as error:
         raise InputError(
             f"PROJ cannot use its data ({' '.join(str(error).split())}); unset PROJ_DATA and PROJ_LIB, or point them "
