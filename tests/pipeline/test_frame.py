@@ -101,11 +101,8 @@ def test_degrees_far_north_against_a_map(scene: Scene) -> None:
     there = Transfer(sensors[0], sensors[1], ConstantHeight())
     x, y = np.meshgrid(np.arange(shape[1]), np.arange(shape[0]))
     at = there(np.column_stack([x.ravel(), y.ravel()]).astype(float)) + np.array([3.0, 2.0])
-    sampled = cv2.remap(
-        scene.astype(np.float32),
-        *(at[:, k].reshape(shape).astype(np.float32) for k in (0, 1)),
-        cv2.INTER_CUBIC,
-    )
+    column, row = (at[:, k].reshape(shape).astype(np.float32) for k in (0, 1))
+    sampled = cv2.remap(scene.astype(np.float32), column, row, cv2.INTER_CUBIC)
     secondary = replace(as_image(looked(sampled, 5)), geolocation=grid)
     result = featreg.match(reference, secondary)
     assert result.status == "ok", result.reason
@@ -121,9 +118,8 @@ def test_an_ascending_image_located_by_control_points(scene: Scene) -> None:
     my = np.sin(turn) * u + np.cos(turn) * v + SIDE / 2
     points = np.column_stack([x.ravel(), y.ravel(), EAST + 10 * (mx.ravel() + 0.5), NORTH - 10 * (my.ravel() + 0.5)])
     design = np.column_stack([points[:, :2], np.ones(len(points))])
-    to_map = np.linalg.lstsq(design, np.column_stack([mx.ravel(), my.ravel()]))[0].T + np.array(
-        [[0, 0, 3.0], [0, 0, 2.0]]
-    )
+    to_map = np.linalg.lstsq(design, np.column_stack([mx.ravel(), my.ravel()]))[0].T
+    to_map[:, 2] += (3.0, 2.0)
     pixels = cv2.warpAffine(scene, to_map, (SIDE, SIDE), flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP)
     secondary = placed(looked(pixels, 6), None, gcps=np.column_stack([points, np.zeros(len(points))]))
     result = featreg.match(reference_of(scene), secondary)

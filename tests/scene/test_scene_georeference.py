@@ -53,7 +53,7 @@ def test_beyond_the_limit_the_reason_names_the_search(scenes: Any) -> None:
 
 
 def high(pixels: NDArray[np.float32], offset: float = 4200.0) -> tuple[Any, Any]:
-    """High ground from an ascending and a descending orbit, located by RPCs that hold from 100 m below `offset` to 100 m above."""
+    """High ground from an ascending and a descending orbit; the RPCs hold within 100 m of `offset`."""
     shape = pixels.shape[0], pixels.shape[1]
     view: dict[str, Any] = {"incidence_deg": 35.0, "pixel": 3.0, "height": offset}
     orbits = [RangeDoppler.over((90.0, 32.0), shape, heading_deg=heading, **view) for heading in (-12.0, 192.0)]
