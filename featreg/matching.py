@@ -88,7 +88,7 @@ def match(
         600 where an image has more than 4 million pixels, or where `dem`, `height` or the model asks for it (see
         docs/scenes.md). Then `n_features` is the budget of a block (default 1000)
     dem, height : heights of the ground for images with geolocation: an elevation model's file, or metres above the
-        ellipsoid (default 0); in blocks only
+        ellipsoid (default: the height offset of an RPC, else 0); in blocks only
     executor, workers : what runs the blocks: "serial", "threads", "processes", a `concurrent.futures.Executor` or a
         `dask.distributed.Client`; None takes `workers` processes (default: every processor) where they can be forked
         safely, else threads. Of whole images `workers` is the most threads of OpenCV. How the work is run, by

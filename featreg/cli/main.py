@@ -65,7 +65,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if arguments is None else arguments)
     out, err = (_Output(stream) for stream in (sys.stdout, sys.stderr))
     with redirect_stdout(out), redirect_stderr(err):
-        return _run(given)
+        code = _run(given)
+        out.flush()
+        if out.failed is not None and code in (0, 3):
+            typer.echo(f"error: the standard output cannot be written ({out.failed.strerror})", err=True)
+            return 2
+        return code
 
 
 def _run(given: Sequence[str]) -> int:
@@ -107,8 +112,12 @@ def _explain(error: Exception, arguments: Sequence[str]) -> int:
         return 130
     if isinstance(error, FeatregError):
         code, text = 2, str(error)
+    elif isinstance(error, MemoryError) or type(error).__name__ == "_ArrayMemoryError":
+        code, text = 2, "there is too little memory for this; work in smaller blocks (--block) or with fewer --workers"
     elif hasattr(error, "format_message"):  # of the library that parses the command line, whichever it builds upon
         code, text = 2, _usage(error, arguments)
+    elif (text := _of_proj(error)) != "":
+        code = 2
     else:
         code, text = 1, f"internal error: {type(error).__name__}: {error}"
         if os.environ.get("FEATREG_TRACEBACK"):
@@ -119,6 +128,18 @@ def _explain(error: Exception, arguments: Sequence[str]) -> int:
             text += ", set FEATREG_TRACEBACK=1 to see where"
     typer.echo(f"error: {' '.join(text.split())}", err=True)
     return code
+
+
+def _of_proj(error: Exception) -> str:
+    """What is wrong with PROJ's data where an error comes of that, else an empty text."""
+    if type(error).__module__.partition(".")[0] == "rasterio":
+        from featreg.geolocation.projection import check_proj
+
+        try:
+            check_proj()
+        except FeatregError as known:
+            return str(known)
+    return ""
 
 
 def _usage(error: Any, arguments: Sequence[str]) -> str:
@@ -135,10 +156,15 @@ def _usage(error: Any, arguments: Sequence[str]) -> str:
 
 
 class _Output:
-    """A stream whose reader may leave (`| head`): the command works on, and its exit code tells of that work."""
+    """A stream whose reader may leave (`| head`): the command works on, and its exit code tells of that work.
+
+    The same where there is no stream, where its disk is full (`failed`), or where its encoding lacks a character, which
+    is then escaped.
+    """
 
     def __init__(self, stream: Any) -> None:
-        self._stream = stream
+        self._stream = open(os.devnull, "w") if stream is None else stream  # noqa: SIM115
+        self.failed: OSError | None = None
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
@@ -146,15 +172,26 @@ class _Output:
     def write(self, text: str) -> int:
         try:
             return int(self._stream.write(text))
+        except UnicodeEncodeError:
+            encoding = getattr(self._stream, "encoding", None) or "ascii"
+            return self.write(text.encode(encoding, "backslashreplace").decode(encoding))
         except BrokenPipeError:
             self._leave()
-            return len(text)
+        except OSError as error:
+            self._fail(error)
+        return len(text)
 
     def flush(self) -> None:
         try:
             self._stream.flush()
         except BrokenPipeError:
             self._leave()
+        except OSError as error:
+            self._fail(error)
+
+    def _fail(self, error: OSError) -> None:
+        self.failed = self.failed or error
+        self._leave()
 
     def _leave(self) -> None:
         """Send what is written from now on, and what is still held back, nowhere."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -218,8 +219,11 @@ def _describe(result: Registration) -> str:
             f"counter-clockwise, shift ({dx:+.2f} +- {sx:.2f}, {dy:+.2f} +- {sy:.2f}) px (right, down), "
             "with standard errors, at the image centre"
         )
+    # Behind a mirror there is no rotation.
+    turned = math.isfinite(linear.rotation_deg)
+    turn = f"rotation {linear.rotation_deg:+.3f} deg counter-clockwise" if turned else "mirrored"
     return (
-        f"{model_name(type(model))}: rotation {linear.rotation_deg:+.3f} deg counter-clockwise, "
+        f"{model_name(type(model))}: {turn}, "
         f"scale {linear.scale:.5f}, shift ({dx:+.2f}, {dy:+.2f}) px (right, down), all at the image centre"
     )
 

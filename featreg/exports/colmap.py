@@ -88,7 +88,8 @@ def pair_id(first: int, second: int) -> int:
 
 def _names(images: tuple[ImageInfo, ImageInfo]) -> tuple[str, str]:
     """Names relative to one folder; unlike, as the database demands."""
-    a, b = (Path(image.path) for image in images)
+    # SQLite holds UTF-8 alone.
+    a, b = (Path(image.path.encode(errors="backslashreplace").decode()) for image in images)
     if a.name != b.name:
         return a.name, b.name
     return f"reference/{a.name}", f"secondary/{b.name}"

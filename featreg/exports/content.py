@@ -106,22 +106,28 @@ def _info(registration: Registration, role: str, given: str | Path | None) -> Im
     known = registration.reference if role == "reference" else registration.secondary
     path = str(given) if given is not None else role if known is None else known.path
     size = (0, 0) if known is None else known.shape
+    place = None if known is None else known.geolocation
     if given is None and not Path(path).is_file():
-        return ImageInfo(path, size)
+        if place is None and path not in (role, "array", "tie points"):
+            logger.warning(
+                "the %s '%s' is not there, and the result does not say where it lies: give its file (--%s) for map "
+                "coordinates", role, path, role,
+            )  # fmt: skip
+        return ImageInfo(path, size, place)
     try:
         source = RasterSource(path, band=1)
-        shape, place = source.shape, source.geolocation
+        shape, now = source.shape, source.geolocation
     except InputError:
         if given is not None:
             raise
-        return ImageInfo(path, size)
+        return ImageInfo(path, size, place)
     if size != (0, 0) and shape != size:
         if given is None:
-            return ImageInfo(path, size)
+            return ImageInfo(path, size, place)
         raise InputError(
             f"{path}: {shape[1]} x {shape[0]} pixels, but the {role} of the result was {size[1]} x {size[0]}"
         )
-    return ImageInfo(path, shape, place)
+    return ImageInfo(path, shape, now if given is not None or place is None else place)
 
 
 def on_map(transform: tuple[float, ...], xy: FloatArray) -> FloatArray:
@@ -162,6 +168,11 @@ def ground_of(image: ImageInfo, xy: FloatArray, model: Model | FailedFit) -> Gro
     elif place.gcps is not None:
         heights = ConstantHeight(place.gcps[:, 4].mean())
     else:
+        return None
+    if place.rpcs is None and not place.crs:
+        logger.warning(
+            "%s: its ground control points have no coordinate system, the map is its own pixels instead", image.path
+        )
         return None
     lonlat, level = on_ground(sensor_of(place, image.size, image.path), np.asarray(xy, np.float64), heights)
     lost = int((~np.isfinite(lonlat).all(axis=1)).sum())

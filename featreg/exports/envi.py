@@ -26,7 +26,7 @@ def write(content: Content, path: Path) -> None:
         ";",
     ]
     rows = [" ".join(f"{value:16.6f}" for value in row) for row in both.tolist()]
-    path.write_text("\n".join(head + rows) + "\n", encoding="utf-8")
+    path.write_text("\n".join(head + rows) + "\n", encoding="utf-8", errors="backslashreplace")
 
 
 def read(path: Path) -> Matches:

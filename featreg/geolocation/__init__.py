@@ -15,7 +15,7 @@ from featreg.geolocation.overlap import Overlap, find_overlap
 from featreg.geolocation.rpc import RpcSensor
 from featreg.geolocation.rpc_bias import RpcBias
 from featreg.geolocation.sensor import Sensor
-from featreg.geolocation.sensors import sensor_from_dict, sensor_of
+from featreg.geolocation.sensors import ground_level, sensor_from_dict, sensor_of
 from featreg.geolocation.transfer import Transfer
 
 __all__ = [
@@ -30,6 +30,7 @@ __all__ = [
     "Sensor",
     "Transfer",
     "find_overlap",
+    "ground_level",
     "heights_from_dict",
     "sensor_from_dict",
     "sensor_of",

@@ -52,7 +52,9 @@ class GeotransformSensor(Sensor):
 
     def ground_to_image(self, lonlat: FloatArray, heights: ArrayLike) -> FloatArray:
         a, b, c, d, e, f = self.transform
-        east, north = self._map.from_lonlat(np.asarray(lonlat, np.float64)).T
+        xy = self._map.from_lonlat(np.asarray(lonlat, np.float64))
+        x, y = self.centre
+        east, north = self._map.near(xy, a * (x + 0.5) + b * (y + 0.5) + c).T
         u, v, det = east - c, north - f, a * e - b * d
         return np.column_stack([(e * u - b * v) / det, (a * v - d * u) / det]) - 0.5
 

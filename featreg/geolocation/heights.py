@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from featreg.errors import InputError
-from featreg.geolocation.projection import Projection
+from featreg.geolocation.projection import FULL_TURN, Projection, near
 from featreg.runtime.digests import digest_file
 from featreg.types import BoolArray, FloatArray
 
@@ -24,6 +24,11 @@ TILE = 512
 KEPT = 60
 #: Holes are filled from valid cells at most this far away, in cells; larger ones hold the sea level.
 REACH = 100
+#: No ground lies outside these metres (the shore of the Dead Sea, Mount Everest): what does is a hole that nobody
+#: declared, such as -32768, -9999 or 3.4e38, or the bottom of a sea.
+POSSIBLE = (-600.0, 9500.0)
+#: Nodes along each side of a tile on which the geoid is asked for, which bends by centimetres between them.
+GEOID_NODES = 9
 
 logger = logging.getLogger(__name__)
 
@@ -71,6 +76,7 @@ class _Grid:
     shape: tuple[int, int]
     forward: Any
     projection: Projection
+    vertical: str = ""
 
     @property
     def middle(self) -> float:
@@ -91,7 +97,7 @@ class _State:
         self.grid: _Grid | None = None
         self.digest = ""
         self.tiles: OrderedDict[tuple[int, int], FloatArray] = OrderedDict()
-        self.said = False
+        self.said: set[str] = set()
 
 
 @dataclass(frozen=True)
@@ -113,8 +119,10 @@ class DemHeights(Heights):
     -----
     Heights are bilinear between cell centres. Tiles of 512 x 512 cells are read when needed, so memory stays bounded
     and a height does not depend on what was asked before. A hole (nodata, NaN) is filled from the valid cells within
-    100 cells of it, by inverse distance; what is left takes height 0 plus the offset, as sea has it. Beyond the edge
-    the height of the edge goes on: `covers` says where that is. Holes are logged once.
+    100 cells of it, by inverse distance; what is left takes height 0 plus the offset, as sea has it. A height that no
+    ground has is a hole too. Beyond the edge the height of the edge goes on: `covers` says where that is. Holes are
+    logged once. Where the coordinate system says that the heights count from a geoid, PROJ's own grid of it takes them
+    to the ellipsoid; where PROJ lacks it that is logged. A stated `offset` stands in place of both.
     """
 
     path: str
@@ -171,14 +179,14 @@ class DemHeights(Heights):
         h, w = grid.shape
         rim = np.array([grid.at(w * s, h * t) for s in np.linspace(0, 1, 9) for t in np.linspace(0, 1, 9)])
         lon, lat = grid.projection.to_lonlat(rim).T
+        lon = near(lon, float(lon[40]), FULL_TURN)
         return float(np.nanmin(lon)), float(np.nanmin(lat)), float(np.nanmax(lon)), float(np.nanmax(lat))
 
     def _cells(self, lonlat: FloatArray) -> FloatArray:
         """(N, 2) column and row, the centre of the first cell at (0, 0)."""
         grid = self._grid
         xy = grid.projection.from_lonlat(np.asarray(lonlat, np.float64))
-        if grid.projection.is_plain:
-            xy[:, 0] -= 360.0 * np.round((xy[:, 0] - grid.middle) / 360.0)
+        xy = grid.projection.near(xy, grid.middle)
         a, b, c, d, e, f = tuple(~grid.forward)[:6]
         return np.column_stack([a * xy[:, 0] + b * xy[:, 1] + c, d * xy[:, 0] + e * xy[:, 1] + f]) - 0.5
 
@@ -204,11 +212,15 @@ class DemHeights(Heights):
         with state.lock:
             found = state.tiles.pop((i, j), None)
             if found is None:
-                found, holes, left = self._open(lambda dataset: _read_tile(dataset, i * TILE, j * TILE))
-                found = found + self.offset
-                if holes:
-                    sea = f"; {left} lie deep inside and take the sea level" if left else ""
-                    self._say_once(f"has holes, filled from the cells around ({holes} in the first such tile{sea})")
+                read = self._open(lambda dataset: _read_tile(dataset, i * TILE, j * TILE))
+                found = read.heights + (self.offset or self._geoid(i * TILE, j * TILE, read.heights.shape))
+                if read.holes:
+                    sea = f"; {read.alone} lie deep inside and take the sea level" if read.alone else ""
+                    odd = f"; {read.impossible} hold no possible height, such as {read.example:g}"
+                    self._say_once(
+                        f"has holes, filled from the cells around ({read.holes} in the first such tile"
+                        f"{odd if read.impossible else ''}{sea})"
+                    )
             state.tiles[i, j] = found
             while len(state.tiles) > KEPT:
                 state.tiles.popitem(last=False)
@@ -239,9 +251,33 @@ class DemHeights(Heights):
                     raise InputError(f"{self.path}: cannot be read as an elevation model ({error.strerror})") from error
             return state.digest
 
+    def _geoid(self, column: int, row: int, shape: tuple[int, int]) -> FloatArray | float:
+        """Metres from the ellipsoid to the surface that the heights of a tile count from; 0 where that is not known."""
+        grid = self._grid
+        if not grid.vertical:
+            return 0.0
+        x, y = (np.linspace(first, first + n - 1, GEOID_NODES) for first, n in ((column, shape[1]), (row, shape[0])))
+        nodes = np.array([grid.at(u + 0.5, v + 0.5) for v in y for u in x])
+        lifted = _above_ellipsoid(grid.vertical, nodes).reshape(GEOID_NODES, GEOID_NODES)
+        # PROJ leaves the heights as they are where it lacks the grid; no geoid is 0 at every node.
+        if not np.isfinite(lifted).all() or not lifted.any():
+            self._say_once(
+                "counts its heights from a geoid, as its coordinate system says, whose grid PROJ lacks here: they are "
+                "taken as above the ellipsoid, up to 100 m off; install the grid (projsync, PROJ_NETWORK=ON) or give "
+                "a model above the ellipsoid"
+            )
+            return 0.0
+        rows = np.arange(row, row + shape[0])
+        along = np.array([np.interp(np.arange(column, column + shape[1]), x, line) for line in lifted])
+        at = np.clip(np.searchsorted(y, rows, side="right") - 1, 0, GEOID_NODES - 2)
+        part = ((rows - y[at]) / np.maximum(y[at + 1] - y[at], 1e-9))[:, None]
+        return np.asarray(along[at] * (1 - part) + along[at + 1] * part)
+
     def _say_once(self, what: str) -> None:
-        if not self._state.said:
-            self._state.said = True
+        # The first tile with something to say speaks for all that have the same.
+        kind = what.partition(",")[0]
+        if kind not in self._state.said:
+            self._state.said.add(kind)
             logger.warning("elevation model %s: %s", self.path, what)
 
 
@@ -272,11 +308,33 @@ def _read_grid(dataset: Any) -> _Grid:
         raise InputError("has no geotransform with a coordinate system, an elevation model needs one")
     if "complex" in dataset.dtypes[0]:
         raise InputError(f"holds {dataset.dtypes[0]}, an elevation model holds metres")
-    return _Grid((dataset.height, dataset.width), dataset.transform, Projection(dataset.crs.to_wkt()))
+    wkt = dataset.crs.to_wkt()
+    vertical = wkt[max(wkt.rfind("VERT_CS"), wkt.rfind("VERTCRS"), 0) :]
+    geoid = wkt.startswith(("COMPD_CS", "COMPOUNDCRS")) and "llipsoid" not in vertical
+    return _Grid((dataset.height, dataset.width), dataset.transform, Projection(wkt), wkt if geoid else "")
 
 
-def _read_tile(dataset: Any, column: int, row: int) -> tuple[FloatArray, int, int]:
-    """The heights of a tile without holes, how many cells were holes, and how many of these found no neighbour."""
+def _above_ellipsoid(crs: str, xy: FloatArray) -> FloatArray:
+    """(N,) metres above the ellipsoid of (N, 2) points of a coordinate system at its height 0."""
+    from rasterio.warp import transform
+
+    return np.array(transform(crs, "EPSG:4979", xy[:, 0].tolist(), xy[:, 1].tolist(), [0.0] * len(xy))[2])
+
+
+@dataclass(frozen=True, eq=False)
+class _Tile:
+    """What was read of a tile: `heights` without holes; how many cells were `holes`, how many of these held an
+    `impossible` height, the first as `example`, and how many lie `alone`, without a neighbour in reach.
+    """
+
+    heights: FloatArray
+    holes: int = 0
+    impossible: int = 0
+    example: float = 0.0
+    alone: int = 0
+
+
+def _read_tile(dataset: Any, column: int, row: int) -> _Tile:
     from rasterio.windows import Window
 
     def window(margin: int) -> tuple[FloatArray, Any, int, int]:
@@ -287,13 +345,15 @@ def _read_tile(dataset: Any, column: int, row: int) -> tuple[FloatArray, int, in
         values = np.ma.getdata(read).astype(np.float64) * dataset.scales[0] + dataset.offsets[0]
         return values, ~np.ma.getmaskarray(read) & np.isfinite(values), column - x0, row - y0
 
-    values, valid, _, _ = window(0)
+    values, declared, _, _ = window(0)
+    valid = declared & _possible(values)
     if valid.all():
-        return values, 0, 0
+        return _Tile(values)
     from rasterio.fill import fillnodata
 
     shape = values.shape
     around, known, x, y = window(REACH)
+    known &= _possible(around)
     place = (slice(y, y + shape[0]), slice(x, x + shape[1]))
     filled = np.where(known, around, 0.0)
     if known.any():
@@ -301,7 +361,19 @@ def _read_tile(dataset: Any, column: int, row: int) -> tuple[FloatArray, int, in
         # Cells out of reach of any valid one keep the value they came with: 0.
         filled = np.where(known, filled, guess)
     alone = _far_from(known, REACH)
-    return filled[place], int((~known[place]).sum()), int(alone[place].sum())
+    odd = values[declared & ~valid]
+    return _Tile(
+        filled[place],
+        int((~known[place]).sum()),
+        len(odd),
+        float(odd[0]) if len(odd) else 0.0,
+        int(alone[place].sum()),
+    )
+
+
+def _possible(heights: FloatArray) -> BoolArray:
+    with np.errstate(invalid="ignore"):
+        return np.asarray((heights >= POSSIBLE[0]) & (heights <= POSSIBLE[1]))
 
 
 def _far_from(known: Any, reach: int) -> Any:

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from featreg.errors import InputError, NoOverlapError
-from featreg.geolocation.heights import DemHeights, Heights
+from featreg.geolocation.heights import ConstantHeight, DemHeights, Heights
+from featreg.geolocation.projection import FULL_TURN, near
 from featreg.geolocation.sensor import Sensor, metres
 from featreg.geolocation.transfer import Transfer, on_ground
 from featreg.io.window import Window
@@ -196,8 +197,16 @@ def _check_cover(reference: Sensor, window: Window, heights: DemHeights, name: s
 
 
 def _range(ground: FloatArray) -> str:
+    ground = _unfolded(ground)
     (west, south), (east, north) = np.nanmin(ground, axis=0), np.nanmax(ground, axis=0)
     return f"longitude {west:.4f} to {east:.4f} and latitude {south:.4f} to {north:.4f}"
+
+
+def _unfolded(ground: FloatArray) -> FloatArray:
+    """Ground points with longitudes that go on across the date line."""
+    known = np.flatnonzero(np.isfinite(ground).all(axis=1))
+    middle = float(ground[known[0], 0]) if len(known) else 0.0
+    return np.column_stack([near(ground[:, 0], middle, FULL_TURN), ground[:, 1]])
 
 
 def _apart(
@@ -216,6 +225,7 @@ def _apart(
         if not np.isfinite(ground).all():
             raise InputError(f"{name}: its sensor model does not find the ground of the image's rim")
         places.append(f"{name} spans {_range(ground)}")
-        middles.append(ground.mean(axis=0))
+        middles.append(_unfolded(ground).mean(axis=0))
     apart = float(np.hypot(*metres((middles[1] - middles[0])[None], float(middles[0][1]))[0])) / 1000
-    return f"the images do not overlap: {places[0]}, {places[1]}; their centres are {apart:.1f} km apart"
+    over = f"; with the ground at {heights.metres:g} m" if isinstance(heights, ConstantHeight) else ""
+    return f"the images do not overlap: {places[0]}, {places[1]}; their centres are {apart:.1f} km apart{over}"

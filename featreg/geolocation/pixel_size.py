@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from featreg.errors import InputError
-from featreg.geolocation.projection import WGS84, Projection
+from featreg.geolocation.projection import Projection
 from featreg.geolocation.rpc import RpcSensor
 from featreg.geolocation.sensor import metres, wrapped
 from featreg.types import FloatArray, Geolocation, PixelSize
@@ -24,8 +24,8 @@ def pixel_size(geolocation: Geolocation) -> PixelSize | None:
             return _on_ground(*_of_rpc(RpcSensor(geolocation.rpcs)))
         if geolocation.transform is not None and geolocation.crs:
             return _of_transform(geolocation.transform, geolocation.crs)
-        if geolocation.gcps is not None and len(geolocation.gcps) > 2:
-            return _on_ground(*_of_gcps(geolocation.gcps, geolocation.crs or WGS84))
+        if geolocation.gcps is not None and geolocation.crs and len(geolocation.gcps) > 2:
+            return _on_ground(*_of_gcps(geolocation.gcps, geolocation.crs))
     except (InputError, np.linalg.LinAlgError):
         pass  # whoever needs the geolocation says what is wrong with it
     return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,7 @@ from featreg.errors import InputError
 from featreg.types import FloatArray
 
 WGS84 = "EPSG:4326"
+FULL_TURN = 360.0
 
 
 @dataclass(frozen=True)
@@ -25,16 +27,21 @@ class Projection:
     crs: str
 
     def __post_init__(self) -> None:
+        from rasterio import Env
         from rasterio.crs import CRS
         from rasterio.errors import CRSError
 
-        try:
-            known = CRS.from_user_input(self.crs)
-        except CRSError as error:
-            raise InputError(f"unknown coordinate system {self.crs!r:.80}") from error
-        geographic = bool(known.is_geographic)
-        same = geographic and (known == CRS.from_epsg(4326) or known.to_epsg() == 4326)
+        # In an environment of rasterio's GDAL writes no lines of its own on stderr.
+        with Env():
+            try:
+                known = CRS.from_user_input(self.crs)
+                geographic = bool(known.is_geographic)
+                same = geographic and (known == CRS.from_epsg(4326) or known.to_epsg() == 4326)
+            except CRSError as error:
+                check_proj()
+                raise InputError(f"unknown coordinate system {self.crs!r:.80}") from error
         object.__setattr__(self, "_plain", same)
+        object.__setattr__(self, "_turn", 2 * math.pi / known.units_factor[1] if geographic else 0.0)
 
     @property
     def is_plain(self) -> bool:
@@ -42,12 +49,47 @@ class Projection:
         return bool(self.__dict__["_plain"])
 
     def to_lonlat(self, xy: FloatArray) -> FloatArray:
-        """Return (N, 2) longitude and latitude in degrees of (N, 2) map coordinates; NaN where there are none."""
-        return np.array(xy, np.float64) if self.is_plain else _through(self.crs, WGS84, xy)
+        """Return (N, 2) longitude and latitude in degrees of (N, 2) map coordinates; NaN where there are none.
+
+        Longitudes lie between -180 and 180 degrees, whatever turn the map coordinates count on.
+        """
+        lonlat = np.array(xy, np.float64) if self.is_plain else _through(self.crs, WGS84, xy)
+        lonlat[:, 0] = near(lonlat[:, 0], 0.0, FULL_TURN)
+        return lonlat
+
+    @property
+    def turn(self) -> float:
+        """A whole turn of longitude in map coordinates; 0 where these are no longitudes."""
+        return float(self.__dict__["_turn"])
+
+    def near(self, xy: FloatArray, middle: float) -> FloatArray:
+        """Map coordinates with longitudes on the turn that lies nearest to a middle; of a projection as they are."""
+        return np.column_stack([near(xy[:, 0], middle, self.turn), xy[:, 1]]) if self.turn else xy
 
     def from_lonlat(self, lonlat: FloatArray) -> FloatArray:
         """Return (N, 2) map coordinates of (N, 2) longitude and latitude in degrees; NaN where there are none."""
         return np.array(lonlat, np.float64) if self.is_plain else _through(WGS84, self.crs, lonlat)
+
+
+def near(longitudes: FloatArray, middle: float, turn: float) -> FloatArray:
+    """Longitudes moved by whole turns to within half a turn of a middle; those that lie there stay as they are."""
+    return np.asarray(longitudes - turn * np.round((longitudes - middle) / turn))
+
+
+def check_proj() -> None:
+    """Raise an `InputError` where PROJ finds no coordinate system: its data are missing or of another version."""
+    from rasterio import Env
+    from rasterio.crs import CRS
+    from rasterio.errors import CRSError
+
+    try:
+        with Env():
+            CRS.from_epsg(4326)
+    except CRSError as error:
+        raise InputError(
+            f"PROJ cannot use its data ({' '.join(str(error).split())}); unset PROJ_DATA and PROJ_LIB, or point them "
+            "at the data of the installed version"
+        ) from error
 
 
 def _through(source: str, target: str, xy: FloatArray) -> FloatArray:

@@ -33,15 +33,29 @@ def sensor_of(geolocation: Geolocation | None, shape: tuple[int, int], name: str
             return RpcSensor(found.rpcs)
         if found.transform is not None and found.crs:
             return GeotransformSensor(found.transform, found.crs, shape)
-        if found.gcps is not None:
-            return GcpSensor(found.gcps, found.crs or "EPSG:4326")
+        if found.gcps is not None and found.crs:
+            return GcpSensor(found.gcps, found.crs)
     except InputError as error:
         raise InputError(f"{name}: {error}") from error
-    half = " (its geotransform has no coordinate system)" if found.transform is not None else ""
+    half = ""
+    if found.transform is not None or found.gcps is not None:
+        what = "geotransform has" if found.transform is not None else "ground control points have"
+        half = f" (its {what} no coordinate system)"
     raise InputError(
-        f"{name}: nothing says where the image lies{half}; RPC coefficients, a geotransform with a coordinate system "
-        "or ground control points are needed"
+        f"{name}: nothing says where the image lies{half}; RPC coefficients, a geotransform or ground control points "
+        "with a coordinate system are needed"
     )
+
+
+def ground_level(*sensors: Sensor) -> tuple[float, str]:
+    """Return metres above the ellipsoid to take for the ground where nobody states it, and where they come from.
+
+    That of the first sensor with rational polynomials, which hold around their own height only; else 0.
+    """
+    for sensor in sensors:
+        if isinstance(sensor, RpcSensor):
+            return float(sensor.rpcs["height_off"]), "height offset of the RPC"
+    return 0.0, "none stated: the ellipsoid"
 
 
 def sensor_from_dict(values: Mapping[str, Any]) -> Sensor:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import threading
 from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -23,7 +24,7 @@ from featreg.io.readers import Raster, gdal_dataset, geolocation_of, quiet, read
 from featreg.io.scales import real_pixels
 from featreg.io.window import Window
 from featreg.runtime.numpy_files import load_array
-from featreg.types import Geolocation
+from featreg.types import BoolArray, Geolocation
 
 #: Bytes that GDAL may keep of the tiles it has decoded, in each process; two rows of tiles of a wide scene.
 CACHE_BYTES = 64 << 20
@@ -44,6 +45,13 @@ class Head:
     dtype: str
     geolocation: Geolocation | None
     way: str  # "windows", "map" or "whole"
+
+
+def physical(raster: Raster) -> NDArray[Any]:
+    """The samples with the file's own gain and offset applied; untouched where it has none."""
+    if (raster.gain, raster.offset) == (1.0, 0.0):
+        return raster.samples
+    return np.asarray(raster.samples * raster.gain + raster.offset)
 
 
 def stamp_of(path: str) -> Stamp:
@@ -177,19 +185,31 @@ def _whole(stamp: Stamp) -> Raster:
 
 
 @lru_cache(maxsize=64)
-def inferred_scale(stamp: Stamp, nodata: complex | None, band: int) -> str:
-    """What real samples are, told from four strips over the scene as `featreg.io.as_image` does from all of them."""
+def inferred_scale(
+    stamp: Stamp, nodata: complex | None, band: int, masked: Callable[[Window], BoolArray | None]
+) -> str:
+    """What real samples are, told from four strips over the scene as `featreg.io.as_image` does from all of them.
+
+    A scene of no more pixels than the strips hold is looked at as a whole. `masked` gives the user's mask of a window.
+    """
     path = stamp[0]
     head = read_head(stamp, band)
-    if np.dtype(head.dtype).kind == "u":
-        return "amplitude"
     height, width = head.shape
     rows = max(1, SAMPLE**2 // 4 // width)
+    if height <= 4 * rows:
+        rows = height
     parts = []
     for top in np.unique(np.linspace(0, max(0, height - rows), 4).astype(int)).tolist():
-        raster = read_samples(path, band, Window(0, top, width, min(rows, height)))
+        window = Window(0, top, width, rows)
+        raster = read_samples(path, band, window)
+        if raster.samples.dtype.kind == "u" and raster.offset >= 0 and raster.gain >= 0:
+            return "amplitude"
         hole = holds_nodata(raster.samples, raster.nodata if nodata is None else nodata)
-        values = raster.samples if hole is None else raster.samples[~hole]
+        valid = np.ones(raster.samples.shape, np.bool_) if hole is None else ~hole
+        for more in (raster.mask, masked(window)):
+            if more is not None:
+                valid &= more
+        values = physical(raster)[valid]
         parts.append(values[np.isfinite(values)])
     values = np.concatenate(parts)
     if not len(values):

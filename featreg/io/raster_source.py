@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from featreg.errors import InputError, ParameterError
 from featreg.io.masks import MaskLike, holds_nodata, inside_polygons, polygons_of
-from featreg.io.raster_files import CACHE_BYTES, Head, inferred_scale, read_head, read_samples, stamp_of
+from featreg.io.raster_files import CACHE_BYTES, Head, inferred_scale, physical, read_head, read_samples, stamp_of
 from featreg.io.readers import Raster
 from featreg.io.scales import SCALES, complex_pixels, real_pixels
 from featreg.io.window import Window
@@ -92,7 +92,7 @@ class RasterSource:
         """What the samples are, told where it was not stated: "amplitude", "intensity", "db" or "complex"."""
         if self.is_complex:
             return "complex"
-        return self.scale or inferred_scale(stamp_of(self.path), self.nodata, self.band)
+        return self.scale or inferred_scale(stamp_of(self.path), self.nodata, self.band, self._masked)
 
     def read(self, window: Window) -> Image:
         """Return the pixels of a window; those outside the scene are masked.
@@ -159,8 +159,7 @@ class RasterSource:
         for more in (None if hole is None else ~hole, self._masked(window)):
             if more is not None:
                 valid = more if valid is None else valid & more
-        if (raster.gain, raster.offset) != (1.0, 0.0):
-            samples = samples * raster.gain + raster.offset
+        samples = physical(raster)
         pixels: NDArray[Any]
         if samples.dtype.kind == "c":
             pixels, valid = complex_pixels(samples, valid, self.path, owned=True, content=False)

@@ -94,7 +94,18 @@ def read_small_raster(source: str | Path, most: float) -> Raster | None:
     if reader is None:
         given = f"suffix '{path.suffix}'" if path.suffix else "a name without suffix"
         raise InputError(f"{path}: {given} is not a known image format; use one of {' '.join(READERS)}")
+    _check_name(path, reader)
     return reader(path, head, variable, most)
+
+
+def _check_name(path: Path, reader: Any) -> None:
+    """Raise where GDAL cannot be given the name of a file."""
+    if reader not in (_read_gdal, _read_nitf):
+        return
+    try:
+        str(path.absolute()).encode()
+    except UnicodeEncodeError as error:
+        raise InputError(f"{str(path)!a}: its name or folder is no UTF-8 text, which GDAL needs; rename it") from error
 
 
 def _split_variable(source: str | Path) -> tuple[Path, str | None]:
@@ -163,6 +174,7 @@ def gdal_dataset(source: str | Path) -> Iterator[Any]:
     """
     path, _ = _split_variable(source)
     reader = READERS.get(path.suffix.lower())
+    _check_name(path, reader)
     if reader not in (_read_gdal, _read_nitf) or (reader is _read_nitf and _holds_sicd(path)):
         yield None
         return

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import re
+import tempfile
+import threading
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +18,13 @@ from featreg.errors import FeatregError, InputError
 from featreg.io.readers import quiet, reason
 from featreg.runtime.files import temporary_path
 from featreg.types import Geolocation
+
+#: Bytes that a folder is asked to take when a file could not be written.
+PROBE = 1 << 20
+#: Lines that libtiff writes on stderr, past every error handler.
+LIBTIFF = re.compile(rb"_?tiff\w*:", re.IGNORECASE)
+
+_stderr_lock = threading.Lock()
 
 
 @contextmanager
@@ -35,14 +46,64 @@ def replacing(path: str | Path, *, inputs: Iterable[Any] = ()) -> Iterator[Path]
     refuse_input(path, inputs)
     if path.is_dir():
         raise InputError(f"{path}: is a directory, the name of a file is needed")
+    full = ""
     try:
-        with temporary_path(path) as temporary:
-            yield temporary
+        with temporary_path(path) as temporary, _libtiff_silent():
+            try:
+                yield temporary
+            except Exception:
+                # Libraries seldom say why they could not write; asked while what they wrote is still there.
+                full = _refusal(temporary.parent)
+                raise
     except Exception as error:
-        if isinstance(error, FeatregError) or not _of_writing(error):
+        if isinstance(error, FeatregError) or not (full or _of_writing(error)):
             raise
-        message = f"{path}: cannot be written ({reason(error)}); give a file in an existing, writable folder"
+        message = f"{path}: cannot be written ({full or reason(error)}); give a file in an existing, writable folder"
         raise InputError(message) from error
+
+
+def _refusal(folder: Path) -> str:
+    """What the system says to another megabyte in a folder; empty where it takes it."""
+    try:
+        with (folder / "probe").open("wb") as file:
+            file.write(bytes(PROBE))
+            file.flush()
+            os.fsync(file.fileno())
+        (folder / "probe").unlink()
+    except OSError as error:
+        return error.strerror or str(error)
+    return ""
+
+
+@contextmanager
+def _libtiff_silent() -> Iterator[None]:
+    """Keep libtiff from writing lines of its own on stderr, where no one watches progress there.
+
+    What other libraries write meanwhile comes when it is over.
+    """
+    if not _stderr_lock.acquire(blocking=False):
+        yield
+        return
+    try:
+        kept = None
+        with suppress(OSError):
+            kept = None if os.isatty(2) else os.dup(2)
+        if kept is None:
+            yield
+            return
+        with tempfile.TemporaryFile() as held:
+            os.dup2(held.fileno(), 2)
+            try:
+                yield
+            finally:
+                os.dup2(kept, 2)
+                os.close(kept)
+                held.seek(0)
+                lines = [line for line in held.read().splitlines(True) if not LIBTIFF.match(line)]
+                with suppress(OSError):
+                    os.write(2, b"".join(lines))
+    finally:
+        _stderr_lock.release()
 
 
 def _of_writing(error: Exception) -> bool:
@@ -102,6 +163,7 @@ def geolocation_profile(geolocation: Geolocation | None) -> dict[str, Any]:
     if geolocation is None:
         return {}
     from rasterio.control import GroundControlPoint
+    from rasterio.crs import CRS
     from rasterio.rpc import RPC
     from rasterio.transform import Affine
 
@@ -109,6 +171,8 @@ def geolocation_profile(geolocation: Geolocation | None) -> dict[str, Any]:
     if geolocation.transform is not None:
         keywords["transform"] = Affine(*geolocation.transform)
     elif geolocation.gcps is not None:
+        # rasterio writes no control points without a coordinate system, but takes an empty one.
+        keywords.setdefault("crs", CRS())
         # Our points count from the centre of the first pixel, GDAL's from its corner.
         keywords["gcps"] = [
             GroundControlPoint(row=y + 0.5, col=x + 0.5, x=e, y=n, z=z) for x, y, e, n, z in geolocation.gcps.tolist()

@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 
 from featreg.errors import ParameterError
-from featreg.interfaces import Filter, FilterContext, Matcher, Model
+from featreg.interfaces import FailedFit, Filter, FilterContext, Matcher, Model
+from featreg.pipeline.feature_matcher import FeatureMatcher
+from featreg.pipeline.frame import Frame, stated_frame
 from featreg.pipeline.inputs import input_image
 from featreg.pipeline.refine import Refine
 from featreg.pipeline.steps import Draft, filtered, fitted, judged, refined
@@ -20,7 +22,7 @@ from featreg.results.registration import Registration
 from featreg.runtime.timing import collecting, stage
 from featreg.runtime.versions import versions
 from featreg.runtime.watching import Progress, Steps
-from featreg.types import BoolArray, Gate, Image, Matches
+from featreg.types import BoolArray, FloatArray, Gate, Image, Matches
 
 #: What `Pipeline.run` counts as one each: tie points, filters, model, refinement, judgement.
 STEPS = 5
@@ -73,13 +75,51 @@ class Pipeline:
         initial : a model known beforehand; matches farther than `search_radius` pixels from it are dropped first
         search_radius : px; needed with `initial`
         progress : called with (steps done, steps in all)
+
+        Notes
+        -----
+        Where both images state by their geolocation that one is a mirror, a stretch, a zoom or a turn of the other, the
+        secondary is compared, and the result judged, in the reference's frame (`featreg.pipeline.frame`). A result that
+        cannot be trusted there is tried without.
         """
         if self.matcher is None:
             raise ParameterError("this pipeline has no matcher: give it one, or use featreg.fit with tie points")
+        with collecting() as timings, stage("prior"):
+            frame = None if initial is not None else self._frame(reference, secondary)
+        if frame is not None:
+            held = self._run(reference, frame.resampled(secondary), seed, None, None, progress)
+            held = _in_own_pixels(held, frame, secondary)
+            if held.status == "ok":
+                return replace(held, timings={**timings, **held.timings})
+            plain = self._run(reference, secondary, seed, None, None, None)
+            return plain if plain.status == "ok" else held
+        return self._run(reference, secondary, seed, initial, search_radius, progress)
+
+    def _frame(self, reference: Image, secondary: Image) -> Frame | None:
+        """What to take out by the geography of two images, where the method and the model allow it."""
+        if reference.geolocation is None or secondary.geolocation is None:
+            return None
+        if secondary.is_complex and not isinstance(self.matcher, FeatureMatcher):
+            return None  # it may rest on phases
+        frame = stated_frame(reference, secondary)
+        return frame if frame is not None and frame.held_by(self.model, reference.shape) else None
+
+    def _run(
+        self,
+        reference: Image,
+        secondary: Image,
+        seed: int,
+        initial: Model | None,
+        search_radius: float | None,
+        progress: Progress | None,
+    ) -> Registration:
+        matcher = self.matcher
+        if matcher is None:
+            raise ParameterError("this pipeline has no matcher")
         steps = Steps(STEPS, progress)
         shapes = reference.shape, secondary.shape
         with collecting() as timings:
-            matches = self.matcher.match(reference, secondary)
+            matches = matcher.match(reference, secondary)
             steps.advance()
             stages = self.filtered(matches, *shapes, seed=seed, initial=initial, search_radius=search_radius)
             steps.advance()
@@ -155,6 +195,7 @@ class Pipeline:
         initial: Model | None = None,
         search_radius: float | None = None,
         further: Mapping[str, Gate] | None = None,
+        stated: FloatArray | None = None,
     ) -> Registration:
         """The registration of a draft, by the pipeline's own limits; parameters as `featreg.pipeline.steps.judged`.
 
@@ -167,6 +208,7 @@ class Pipeline:
             initial=initial,
             search_radius=search_radius,
             further=further,
+            stated=stated,
         )
         provenance = {
             "method": self.name,
@@ -186,3 +228,20 @@ class Pipeline:
             dict(seconds),
             provenance,
         )
+
+
+def _in_own_pixels(result: Registration, frame: Frame, secondary: Image) -> Registration:
+    """A result of the reference and the frame as one of the reference and the secondary, with the gates as judged."""
+    model = result.model
+    if not isinstance(model, FailedFit) and result.reference is not None:
+        model = frame.model_back(model, result.reference.shape)
+    return replace(
+        result,
+        matches=frame.back(result.matches),
+        model=model,
+        provenance={
+            **result.provenance,
+            "frame": {"source": "geolocation", "linear": frame.linear.tolist()},
+        },
+        secondary=input_image(secondary),
+    )

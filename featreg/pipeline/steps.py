@@ -158,6 +158,7 @@ def judged(
     initial: Model | None = None,
     search_radius: float | None = None,
     further: Mapping[str, Gate] | None = None,
+    stated: FloatArray | None = None,
 ) -> tuple[str, str, Mapping[str, Gate]]:
     """Return status, reason and gates of a draft.
 
@@ -168,6 +169,7 @@ def judged(
     limits : what must be reached
     initial, search_radius : a model known beforehand, and how far from it in pixels the result may lie
     further : gates of the caller, which count as the others do
+    stated : (2, 2) linear part that the geography of both images states, if it does
     """
     with stage("trust"):
         evidence = Evidence(
@@ -179,6 +181,7 @@ def judged(
             *shapes,
             initial=initial,
             search_radius=search_radius,
+            stated=stated,
         )
         return assess(evidence, limits, further)
 

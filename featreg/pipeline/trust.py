@@ -92,6 +92,7 @@ class Evidence:
     model : the final model
     reference_shape, secondary_shape : (H, W); of the secondary, the area over which a wrong match may lie
     initial, search_radius : a model known beforehand, if any, and how far from it in pixels the result may lie
+    stated : (2, 2) linear part that the geography of both images states, if it states one; what is left is judged
     """
 
     matches: Matches
@@ -103,6 +104,12 @@ class Evidence:
     secondary_shape: tuple[int, int]
     initial: Model | None = None
     search_radius: float | None = None
+    stated: FloatArray | None = None
+
+    def left(self, model: Model) -> FloatArray:
+        """(2, 2) linear part of a model at the reference's centre, beside what geography states."""
+        linear = at_centre(model, self.reference_shape)
+        return linear if self.stated is None else np.linalg.inv(self.stated) @ linear
 
     @cached_property
     def here(self) -> FloatArray:
@@ -187,19 +194,19 @@ CONDITIONS = (
     Condition(
         "determinant",
         "of the model's linear part; the images are mirrored where negative",
-        lambda e, model: float(np.linalg.det(at_centre(model, e.reference_shape))),
+        lambda e, model: float(np.linalg.det(e.left(model))),
         lambda limits, e: (0.0, None),
     ),
     Condition(
         "scale",
         "scale at the centre",
-        lambda e, model: math.sqrt(abs(float(np.linalg.det(at_centre(model, e.reference_shape))))),
+        lambda e, model: math.sqrt(abs(float(np.linalg.det(e.left(model))))),
         lambda limits, e: (1 / limits.scale, limits.scale),
     ),
     Condition(
         "anisotropy",
         "ratio of the two scales at the centre",
-        lambda e, model: decompose(at_centre(model, e.reference_shape)).anisotropy,
+        lambda e, model: decompose(e.left(model)).anisotropy,
         lambda limits, e: (None, limits.anisotropy),
     ),
     Condition(

@@ -12,6 +12,7 @@ from featreg.errors import InputError, ParameterError
 from featreg.interfaces import Model
 from featreg.io.raster_source import RasterSource
 from featreg.products.lattice import OtherGrids, resized
+from featreg.products.placement import IDENTITY, Placed, relation
 from featreg.products.resample import model_of, stated_shape
 from featreg.results.input_image import InputImage
 from featreg.results.registration import Registration
@@ -19,7 +20,6 @@ from featreg.types import FloatArray, Geolocation
 
 #: Pixel sizes that are taken as meant where the sizes of two images allow them: whole multiples and parts.
 PLAIN_FACTORS = (*range(2, 17), *(1 / n for n in range(2, 17)))
-IDENTITY = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 logger = logging.getLogger(__name__)
 
@@ -67,20 +67,59 @@ def reference_grid(registration: Registration, like: str | Path | tuple[int, int
         return Grid(stated_shape(like), None, None, IDENTITY)
     if like is not None:
         source = RasterSource(str(like), band=1)
-        same = IDENTITY if size is None else _same_footprint(str(like), source.shape, "reference", size)
-        return Grid(source.shape, source.geolocation, str(like), _inverse_scale(same))
+        placed = None if known is None else relation(_placed(source), _matched(known, "reference"))
+        if placed is None:
+            same = IDENTITY if size is None else _same_footprint(str(like), source.shape, "reference", size)
+            placed = _inverse_scale(same)
+        return Grid(source.shape, source.geolocation, str(like), placed)
     if known is None or size is None:
         raise InputError("the registration does not say the reference's size; give the reference image as like")
     path = known.path
     if Path(path).is_file():
         try:
             source = RasterSource(path, band=1)
-            if source.shape == size:
+            if source.shape != size:
+                logger.warning(
+                    "%s is not the reference any more: %s, it was %s", path, _size(source.shape), _size(size)
+                )
+            elif known.geolocation is not None and not _in_place(source, known):
+                logger.warning("%s is not the reference any more: it lies elsewhere than that did", path)
+            else:
                 return Grid(size, source.geolocation, path, IDENTITY)
-            logger.warning("%s is not the reference any more: %s, it was %s", path, _size(source.shape), _size(size))
         except InputError as error:
-            logger.warning("the reference cannot be read, the output gets no georeferencing (%s)", error)
-    return Grid(size, None, None, IDENTITY)
+            logger.warning("the reference cannot be read (%s)", error)
+    elif known.geolocation is None and path not in ("array", "tie points"):
+        logger.warning(
+            "the reference '%s' is not there, and the result does not say where it lies: the output gets no "
+            "georeferencing; give the reference's file as like (--like)", path,
+        )  # fmt: skip
+    return Grid(size, known.geolocation, None, IDENTITY)
+
+
+def _in_place(source: RasterSource, known: InputImage) -> bool:
+    """Whether a file lies where the image that was matched did."""
+    try:
+        found = relation(_placed(source), Placed(known.path, known.shape, known.geolocation))
+    except InputError:
+        return False
+    return found is not None and bool((found == IDENTITY).all())
+
+
+def _placed(source: RasterSource) -> Placed:
+    return Placed(source.path, source.shape, source.geolocation)
+
+
+def _matched(image: InputImage, role: str) -> Placed:
+    """Where an image was when it was matched: as the result says, else as its file does, where it is the same still."""
+    name = f"the {role} of the result"
+    if image.geolocation is None and Path(image.path).is_file():
+        try:
+            source = RasterSource(image.path, band=1)
+            if source.shape == image.shape:
+                return Placed(name, image.shape, source.geolocation)
+        except InputError:
+            pass
+    return Placed(name, image.shape, image.geolocation)
 
 
 def grid_model(
@@ -121,29 +160,10 @@ def grid_model(
 
 
 def _by_georeferencing(matched: InputImage, source: RasterSource) -> FloatArray | None:
-    """The map from the matched secondary to another file, where both have a geotransform of one coordinate system."""
-    if not Path(matched.path).is_file() or Path(matched.path).samefile(source.path):
+    """The map from the matched secondary to another file, where both say where they lie."""
+    if Path(matched.path).is_file() and Path(matched.path).samefile(source.path) and source.shape == matched.shape:
         return None
-    try:
-        old = RasterSource(matched.path, band=1)
-        first, second = old.geolocation, source.geolocation
-        if old.shape != matched.shape:
-            return None
-    except InputError:
-        return None
-    if first is None or second is None or first.transform is None or second.transform is None:
-        return None
-    if first.crs != second.crs:
-        return None
-    # Geotransforms count from the corner of the first pixel, we from its centre.
-    to_corner = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
-    old_map, new_map = (_homogeneous(t) for t in (first.transform, second.transform))
-    affine = (np.linalg.inv(to_corner) @ np.linalg.inv(new_map) @ old_map @ to_corner)[:2]
-    return IDENTITY if np.abs(affine - IDENTITY).max() < 1e-6 else affine
-
-
-def _homogeneous(transform: tuple[float, ...]) -> FloatArray:
-    return np.array([transform[:3], transform[3:], (0.0, 0.0, 1.0)])
+    return relation(_matched(matched, "secondary"), _placed(source))
 
 
 def _same_footprint(name: str, shape: tuple[int, int], role: str, size: tuple[int, int]) -> FloatArray:

@@ -4,7 +4,8 @@ Layout (schema version 1)
 -------------------------
 One object: ``schema_version, method, status, reason, gates, seed, reference, secondary, model, counts, blocks, timings,
 provenance, tie_points``. Points are (x, y) in pixels, the centre of the first pixel is (0, 0). ``nan`` and ``inf`` are
-written as null. `reference` and `secondary` hold path, width and height (null where the images are not known) and,
+written as null. `folder`, where there is one, is what relative paths count from, as seen from the file's own folder.
+`reference` and `secondary` hold path, width and height (null where the images are not known) and,
 where known, scale, dtype, valid_pixels, pixel_size {x, y, unit} and geolocation {transform, crs, rpcs, gcps}. `counts`
 lists the filters in the order in which they ran. The column `stage` is how many filters, from the first on, a tie point
 survived; a mask that does not follow from it (that of a refinement, whose points are not in the stages before it)
@@ -19,6 +20,7 @@ import dataclasses
 import io
 import json
 import math
+import os
 import uuid
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -32,7 +34,7 @@ from featreg.geometry import model_from_dict, model_to_dict
 from featreg.interfaces import FailedFit, Model
 from featreg.results.input_image import InputImage
 from featreg.runtime.digests import digest_bytes
-from featreg.runtime.files import is_stream, write_atomic
+from featreg.runtime.files import folder_of, is_stream, write_atomic
 from featreg.types import BoolArray, Gate, IntArray, Matches
 
 if TYPE_CHECKING:
@@ -95,6 +97,7 @@ def write_registration(registration: Registration, path: str | Path) -> None:
     path = Path(path)
     stage = _stage(registration)
     columns, masks, head = _columns(registration, stage), _masks(registration, stage), _head(registration)
+    head |= _folder(registration, path)
     # A pipe has no place beside it.
     if len(stage) > MAX_ROWS and not is_stream(path):
         beside = tie_point_file(path)
@@ -109,7 +112,8 @@ def write_registration(registration: Registration, path: str | Path) -> None:
         text = _layout({**head, "tie_points": _table(columns, masks, slot)}).replace(
             f'"{slot}"', rows.replace("[[", "[\n      [", 1)
         )
-    write_atomic(path, (text + "\n").encode())
+    # A name of a file that is no UTF-8 stands as JSON's escapes of its bytes.
+    write_atomic(path, (text + "\n").encode(errors="backslashreplace"))
 
 
 def tie_point_file(path: Path) -> Path:
@@ -170,6 +174,30 @@ def _head(registration: Registration) -> dict[str, Any]:
         "timings": plain(registration.timings),
         "provenance": plain(provenance),
     }
+
+
+def _folder(registration: Registration, path: Path) -> dict[str, str]:
+    """Where relative paths of images count from, where that is not the folder of the result."""
+    paths = [image.path for image in (registration.reference, registration.secondary) if image is not None]
+    if is_stream(path) or not any(not os.path.isabs(p) and os.path.exists(p) for p in paths):
+        return {}
+    try:
+        folder = Path(os.path.relpath(os.curdir, folder_of(path))).as_posix()
+    except ValueError:  # another drive
+        return {}
+    return {} if folder == "." else {"folder": folder}
+
+
+def _found(image: InputImage | None, data: Mapping[str, Any], folder: Path) -> InputImage | None:
+    """The image with a path that leads to its file from here, where one does."""
+    if image is None or os.path.isabs(image.path) or image.path == "array":
+        return image
+    for candidate in (folder / str(data.get("folder", ".")) / image.path, folder / image.path):
+        if candidate.is_file():
+            here = Path(image.path)
+            same = here.is_file() and here.samefile(candidate)
+            return image if same else dataclasses.replace(image, path=os.path.normpath(candidate))
+    return image
 
 
 def _image(image: InputImage | None) -> dict[str, Any]:
@@ -302,8 +330,8 @@ def _fields(data: Any, folder: Path) -> dict[str, Any]:
         "gates": {name: Gate.from_dict(gate) for name, gate in data["gates"].items()},
         "timings": dict(data["timings"]),
         "provenance": data["provenance"] | ({"tie_point_blocks": block} if (block >= 0).any() else {}),
-        "reference": InputImage.from_dict(data["reference"]),
-        "secondary": InputImage.from_dict(data["secondary"]),
+        "reference": _found(InputImage.from_dict(data["reference"]), data, folder),
+        "secondary": _found(InputImage.from_dict(data["secondary"]), data, folder),
     }
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from featreg.errors import FeatregError
+from featreg.geolocation import Transfer
 from featreg.geometry import Affine, Translation
 from featreg.geometry.robust import fit_consensus
 from featreg.interfaces import FailedFit, Model
@@ -36,6 +37,7 @@ class Prior:
     ----------
     base : the map, of sensors or a model; NaN where it does not reach
     correction : what pilot blocks found it to be off by, in the secondary's pixels, or None
+    searched_px : how far pilot blocks were searched around it without agreeing; 0 where they agreed, or none was
     uncertainty_px : how far it may be off along either axis, px
     source : where it comes from, for the record
     """
@@ -44,11 +46,17 @@ class Prior:
     uncertainty_px: float
     source: str
     correction: Model | None = None
+    searched_px: float = 0.0
 
     def __call__(self, xy: FloatArray) -> FloatArray:
         """Map (N, 2) reference points to the secondary image."""
         mapped = self.base(xy)
         return mapped if self.correction is None else self.correction(mapped)
+
+    @property
+    def stated(self) -> bool:
+        """Whether it is the geography that both images state, not something measured or given."""
+        return isinstance(self.base, Transfer)
 
     def widened(self) -> Prior:
         """The same map, trusted less."""
@@ -61,6 +69,7 @@ class Prior:
             "source": self.source,
             "uncertainty_px": self.uncertainty_px,
             "correction": None if correction is None else correction[:2].tolist(),
+            **({"searched_px": self.searched_px} if self.searched_px else {}),
         }
 
 

@@ -6,17 +6,18 @@ import logging
 import os
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from featreg.errors import CancelledError, ParameterError
-from featreg.geolocation import ConstantHeight, DemHeights, Heights, RpcBias, Transfer, sensor_of
+from featreg.errors import CancelledError, InputError, ParameterError
+from featreg.geolocation import ConstantHeight, DemHeights, Heights, RpcBias, Transfer, ground_level, sensor_of
 from featreg.interfaces import Matcher, Model
 from featreg.io.raster_source import ImageSource, Source
+from featreg.pipeline.frame import linear_at
 from featreg.pipeline.inputs import input_image
 from featreg.pipeline.pipeline import Pipeline
 from featreg.pipeline.steps import refined
@@ -38,6 +39,9 @@ from featreg.scene.task import BlockResult, Job, run_block
 #: Most and fewest pilot blocks.
 PILOTS = 9
 LEAST_PILOTS = 4
+#: How far, px, pilot blocks are searched around what two geolocations say, one step after the other, when they do not
+#: agree on less: what products without precise orbits, or with a wrong geoid, are off by.
+SEARCH_PX = (100.0, 300.0)
 
 logger = logging.getLogger(__name__)
 
@@ -50,7 +54,8 @@ class SceneOptions:
     ----------
     block : side of a block, px
     executor, workers : see `featreg.runtime.executors.open_executor`
-    dem, height : heights of the ground: a file, or metres above the ellipsoid (0 where neither is given)
+    dem, height : heights of the ground: a file, or metres above the ellipsoid; where neither is given the height offset
+        of an RPC, else 0
     resume : folder in which finished blocks are kept and looked for
     progress : called with (blocks done, blocks in all)
     cancel : when set, the work stops with a `CancelledError`
@@ -65,13 +70,23 @@ class SceneOptions:
     progress: Progress | None = None
     cancel: Canceller | None = None
 
-    def heights(self) -> Heights:
-        """The heights of the ground."""
+    def heights(self, *sources: Source) -> tuple[Heights, str]:
+        """The heights of the ground under the scenes, and where they come from."""
         if self.height is not None:
             check("height", self.height, float)
         if self.dem is not None and self.height is not None:
             raise ParameterError("heights come from a DEM file or from one height, not from both: leave out one")
-        return ConstantHeight(self.height or 0.0) if self.dem is None else DemHeights(os.path.abspath(self.dem))
+        if self.dem is not None:
+            return DemHeights(os.path.abspath(self.dem)), "elevation model"
+        if self.height is not None:
+            return ConstantHeight(self.height), "stated"
+        sensors = []
+        for source in sources:
+            # Whoever needs the geolocation says what is wrong with it.
+            with suppress(InputError):
+                sensors.append(sensor_of(source.geolocation, source.shape, source.name))
+        level, whence = ground_level(*sensors)
+        return ConstantHeight(level), whence
 
 
 def match_scene(
@@ -105,7 +120,7 @@ def match_scene(
     matcher = pipeline.matcher
     if matcher is None:
         raise ParameterError("this pipeline has no matcher: give it one, or use featreg.fit with tie points")
-    heights = options.heights()
+    heights, whence = options.heights(reference, secondary)
     _check_heights(options, pipeline, (reference, secondary), initial)
     if options.resume is not None:
         check_folder(options.resume)  # before the prior and the pilot blocks take their time
@@ -125,7 +140,9 @@ def match_scene(
             with stage("prior"):
                 prior = _piloted(job, prior, blocks, executor, options.cancel, seed)
             with stage("blocks"):
-                results, counts = _all_blocks(job, prior, blocks, executor, options, pipeline, (reference, secondary))
+                results, counts = _all_blocks(
+                    job, prior, blocks, executor, options, pipeline, (reference, secondary), heights
+                )
         # The workers are gone, and the columns of the blocks go once they are put together: what is left to do needs
         # the memory more.
         record = {**counts, "size": options.block, "halo": job.halo}, block_table(blocks, results), seconds_of(results)
@@ -133,7 +150,7 @@ def match_scene(
         results.clear()
         with cancellable(options.cancel):
             return _finished(
-                pipeline, merged, blocks, record, prior, reference, secondary, options,
+                pipeline, merged, blocks, record, prior, reference, secondary, {**heights.to_dict(), "source": whence},
                 seed=seed, initial=initial, search_radius=search_radius, timings=timings,
             )  # fmt: skip
 
@@ -206,15 +223,26 @@ def _job(
 def _piloted(
     job: Job, prior: Prior, blocks: Sequence[Block], executor: TaskExecutor, cancel: Canceller | None, seed: int
 ) -> Prior:
-    """The prior, corrected by a few blocks that were searched as widely as its uncertainty asks."""
+    """The prior, corrected by a few blocks that were searched as widely as its uncertainty asks.
+
+    Where these do not agree, the geography of the images is taken to be off by more: they are searched more widely, in
+    steps up to a limit, which the prior records where nothing is found either.
+    """
     pilots = spread_out(tuple(blocks), min(PILOTS, max(LEAST_PILOTS, len(blocks) // 8)))
-    found = sorted(
-        (result for _, result in executor.run(run_block, (replace(job, refine=None), prior.widened()), pilots, cancel)),
-        key=lambda result: result.index,
-    )
-    done = [r for r in found if r.status == "done"]
-    together = concatenated([r.matches.take(r.supported) for r in done])
-    return corrected(prior, together.reference_xy, together.secondary_xy, np.random.default_rng([seed, len(blocks)]))
+    first = prior.widened()
+    wider = [r for r in SEARCH_PX if r > first.uncertainty_px] if prior.stated else []
+    for search in (first, *(replace(prior, uncertainty_px=radius) for radius in wider)):
+        found = sorted(
+            (result for _, result in executor.run(run_block, (replace(job, refine=None), search), pilots, cancel)),
+            key=lambda result: result.index,
+        )
+        done = [r for r in found if r.status == "done"]
+        together = concatenated([r.matches.take(r.supported) for r in done])
+        rng = np.random.default_rng([seed, len(blocks)])
+        better = corrected(prior, together.reference_xy, together.secondary_xy, rng)
+        if better is not prior or not done:
+            return better
+    return replace(prior, searched_px=search.uncertainty_px)
 
 
 def _all_blocks(
@@ -225,11 +253,12 @@ def _all_blocks(
     options: SceneOptions,
     pipeline: Pipeline,
     sources: Sequence[Source],
+    heights: Heights,
 ) -> tuple[list[BlockResult], dict[str, int]]:
     """Every block, from its file where there is a sound one; finished ones are saved as they come."""
     files = None
     if options.resume is not None:
-        files = BlockFiles(options.resume, digest_of(_ingredients(job, prior, options, pipeline, blocks, sources)))
+        files = BlockFiles(options.resume, digest_of(_ingredients(job, prior, heights, pipeline, blocks, sources)))
     results = [] if files is None else [r for r in (files.load(block) for block in blocks) if r is not None]
     reused = len(results)
     known = {r.index for r in results}
@@ -259,7 +288,7 @@ def _all_blocks(
 def _ingredients(
     job: Job,
     prior: Prior,
-    options: SceneOptions,
+    heights: Heights,
     pipeline: Pipeline,
     blocks: Sequence[Block],
     sources: Sequence[Source],
@@ -279,7 +308,7 @@ def _ingredients(
         "n_features": job.n_features,
         "halo": job.halo,
         "prior": [prior.record(), base.parameters if isinstance(base, Transfer | Model) else repr(base)],
-        "heights": options.heights().to_dict(),
+        "heights": heights.to_dict(),
         "blocks": [[b.index, b.window.x, b.window.y, b.window.width, b.window.height] for b in blocks],
         "versions": versions(),
     }
@@ -293,7 +322,7 @@ def _finished(
     prior: Prior,
     reference: Source,
     secondary: Source,
-    options: SceneOptions,
+    heights: dict[str, Any],
     *,
     seed: int,
     initial: Model | None,
@@ -304,7 +333,7 @@ def _finished(
     counts, table, seconds = record
     matches, owners, shapes = merged.matches, merged.blocks, (reference.shape, secondary.shape)
     known: Any = {"seed": seed, "initial": initial, "search_radius": search_radius}
-    ground = heights_words(options.heights().to_dict()) if prior.source.startswith("geolocation") else ""
+    ground = heights_words(heights) if prior.source.startswith("geolocation") else ""
     where = f"lies within {prior.uncertainty_px:.0f} px of where the prior ({prior.source}) says"
     stages = pipeline.filtered(matches, *shapes, before=merged.stages, **known)
     draft = pipeline.fitted(matches, stages, {"prior": ", ".join(part for part in (where, ground) if part)})
@@ -325,7 +354,17 @@ def _finished(
             gates = block_gates(
                 blocks, tried, owners[draft.inliers], final, draft.model, merged, prior, pipeline.limits
             )
-    result = pipeline.judged(draft, reference.shape, merged.chance_shape, further=gates, seconds=timings, **known)
+    stated = None
+    if prior.stated and draft.model:
+        # The blocks lie where both images see the ground.
+        middle = np.mean([b.window.origin + np.array(b.window.shape[::-1]) / 2 for b in blocks], axis=0)
+        stated = linear_at(prior, middle)
+    result = pipeline.judged(
+        draft, reference.shape, merged.chance_shape, further=gates, seconds=timings, stated=stated, **known
+    )
+    if result.status != "ok" and prior.searched_px:
+        why = f"pilot blocks found no agreement within {prior.searched_px:.0f} px of where both geolocations say"
+        result = replace(result, reason=f"{result.reason}; {why}")
     errors = block_errors(merged, result.model, len(blocks)) if result.model else np.zeros(0)
     return replace(
         result,
@@ -335,8 +374,8 @@ def _finished(
             "blocks": counts,
             "block_table": with_final(table, owners[result.inliers]),
             "tie_point_blocks": owners,
-            "prior": prior.record(),
-            "heights": options.heights().to_dict(),
+            "prior": prior.record() | ({} if stated is None else {"linear": stated.tolist()}),
+            "heights": heights,
             "accuracy": accuracy(result.model, final, errors, result.gates, reference.shape),
             "block_seconds": seconds,
         },

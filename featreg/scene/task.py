@@ -14,6 +14,8 @@ from featreg.geometry import Affine
 from featreg.geometry.robust import irls
 from featreg.interfaces import FailedFit, Filter, FilterContext, Matcher, Model
 from featreg.io.raster_source import Source, Window
+from featreg.pipeline.feature_matcher import FeatureMatcher
+from featreg.pipeline.frame import Frame, frame_of, linear_at
 from featreg.pipeline.refine import Refine
 from featreg.pipeline.steps import ROUNDS, SCALE_PX, filtered, survivors
 from featreg.runtime.timing import collecting, stage
@@ -129,25 +131,31 @@ def _matched(job: Job, prior: Prior, block: Block) -> BlockResult:
             why = skip_reason(secondary, "secondary")
     if why:
         return BlockResult(block.index, "skipped", why, window=there)
+    frame = _frame(job, prior, here, there)
+    if frame is not None:
+        with stage("prior"):
+            secondary = frame.resampled(secondary)
     found = job.matcher.match(reference, secondary)
+    own = found if frame is None else frame.back(found)
     rng = np.random.default_rng([job.seed, block.index])
     known = None if job.initial is None else WindowModel(job.initial, here, there)
     context = FilterContext(reference.shape, secondary.shape, job.model, rng, known)
     with stage("prior"):
-        predicted = prior(found.reference_xy + here.origin) - there.origin
+        predicted = prior(own.reference_xy + here.origin) - there.origin
         # A point that the prior does not reach cannot agree with it.
-        off = np.hypot(*(predicted - found.secondary_xy).T)
+        off = np.hypot(*(predicted - own.secondary_xy).T)
         near = np.nan_to_num(off, nan=np.inf) <= prior.uncertainty_px * np.sqrt(2)
     stages = filtered(found, job.filters, context, {"prior": near})
     refined, candidates = Matches.empty(), 0
     if job.refine is not None:
-        local = _local_model(prior, here, there, found.take(np.flatnonzero(survivors(stages, len(found)))))
+        local = _local_model(prior, here, there, frame, found.take(np.flatnonzero(survivors(stages, len(found)))))
         if local is not None:
             with stage("refine"):
                 seen = job.refine.run(reference, secondary, local, Matches.empty(), REFINED)
-                refined, candidates = _moved(seen.matches, here, there), seen.candidates
+                refined = seen.matches if frame is None else frame.back(seen.matches)
+                refined, candidates = _moved(refined, here, there), seen.candidates
                 refined = refined.take(np.flatnonzero(block.window.holds(refined.reference_xy)))
-    matches = _moved(found, here, there)
+    matches = _moved(own, here, there)
     mine = np.flatnonzero(block.window.holds(matches.reference_xy))
     # Best first, so that the cap leaves out the least confident; equal scores stay in their order.
     mine = np.sort(mine[np.argsort(-np.nan_to_num(matches.score[mine]), kind="stable")][: job.n_features])
@@ -198,8 +206,22 @@ def skip_reason(image: Image, role: str) -> str:
     return ""
 
 
-def _local_model(prior: Prior, here: Window, there: Window, kept: Matches) -> Affine | None:
-    """The affine map of a block in the pixels of its two windows, from its own tie points; None where there are none.
+def _frame(job: Job, prior: Prior, here: Window, there: Window) -> Frame | None:
+    """The frame in which the window of the secondary looks as that of the reference does, where the sensors state one.
+
+    Complex samples keep their own pixels unless features are all that is compared.
+    """
+    if not prior.stated or (job.secondary.is_complex and not isinstance(job.matcher, FeatureMatcher)):
+        return None
+    centre = here.origin + np.array([here.width - 1, here.height - 1]) / 2
+    linear = linear_at(prior, centre)
+    return None if linear is None else frame_of(linear, there.shape)
+
+
+def _local_model(prior: Prior, here: Window, there: Window, frame: Frame | None, kept: Matches) -> Affine | None:
+    """The affine map of a block in the pixels of its window and of the frame that stands for the other one.
+
+    It is made from the block's own tie points; None where there are none.
 
     Few tie points only shift what the prior says.
     """
@@ -212,6 +234,7 @@ def _local_model(prior: Prior, here: Window, there: Window, kept: Matches) -> Af
     x, y = np.meshgrid(np.linspace(0, here.width - 1, 5), np.linspace(0, here.height - 1, 5))
     lattice = np.column_stack([x.ravel(), y.ravel()])
     mapped = prior(lattice + here.origin) - there.origin
+    mapped = mapped if frame is None else frame.from_secondary(mapped)
     good = np.isfinite(mapped).all(axis=1)
     linear = Affine.from_estimate(lattice[good], mapped[good])
     if isinstance(linear, FailedFit):

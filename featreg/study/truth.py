@@ -168,7 +168,7 @@ def _from_model(model: Model | FailedFit, what: str) -> Truth:
 
 def _from_geolocation(height: str, images: tuple[Any, Any] | None) -> Truth:
     from featreg.geolocation.heights import ConstantHeight, DemHeights, Heights
-    from featreg.geolocation.sensors import sensor_of
+    from featreg.geolocation.sensors import ground_level, sensor_of
     from featreg.geolocation.transfer import Transfer
     from featreg.io.raster_source import open_source
 
@@ -178,7 +178,7 @@ def _from_geolocation(height: str, images: tuple[Any, Any] | None) -> Truth:
     for source in images:
         opened = open_source(source)
         sensors.append(sensor_of(opened.geolocation, opened.shape, opened.name))
-    metres = _number(height) if height else 0.0
+    metres = _number(height) if height else ground_level(*sensors)[0]
     heights: Heights = DemHeights(height) if metres is None else ConstantHeight(metres)
     over = f"ground at {metres:g} m" if metres is not None else Path(height).name
     return Truth(_Known(Transfer(sensors[0], sensors[1], heights)), f"{GEOLOCATION} over {over}")

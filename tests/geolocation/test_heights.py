@@ -5,7 +5,12 @@ from __future__ import annotations
 import json
 import logging
 import math
+import os
 import pickle
+import shutil
+import struct
+import subprocess
+import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -123,3 +128,60 @@ class TestDemHeights:
                 ConstantHeight(wrong)
         with pytest.raises(InputError, match="type of heights"):
             heights_from_dict({"type": "sea"})
+
+
+class TestUndeclared:
+    @pytest.mark.parametrize("fill", [-32768.0, -9999.0, 32767.0, 1e20, -3.4e38])
+    def test_a_height_that_no_ground_has_is_a_hole(
+        self, fill: float, tmp_path: Path, write_dem: Callable[..., str], caplog: pytest.LogCaptureFixture
+    ) -> None:
+        row, column = np.mgrid[0:60, 0:60]
+        true = 500.0 + 2.0 * column + row
+        samples = true.copy()
+        samples[20:26, 30:36] = fill
+        dem = DemHeights(write_dem(tmp_path / "dem.tif", samples, from_origin(12.0, 47.0, 0.001, 0.001)))
+        at = np.column_stack([12.0 + 0.001 * (column.ravel() + 0.5), 47.0 - 0.001 * (row.ravel() + 0.5)])
+        found = dem.at(at).reshape(60, 60)
+        hole = samples == fill
+        assert np.abs(found - true)[~hole].max() < 1e-3
+        assert np.abs(found - true)[hole].max() < 12.0
+        assert "36 hold no possible height, such as" in caplog.text
+
+
+class TestGeoid:
+    def test_heights_above_a_geoid_that_proj_lacks_are_said(
+        self, tmp_path: Path, write_dem: Callable[..., str], caplog: pytest.LogCaptureFixture
+    ) -> None:
+        place = from_origin(12.0, 47.0, 0.001, 0.001)
+        dem = DemHeights(write_dem(tmp_path / "dem.tif", np.full((30, 30), 100.0), place, crs="EPSG:4326+5773"))
+        height = float(dem.at(np.array([[12.01, 46.99]]))[0])
+        # 46 to 50 m there, in every issue of the geoid.
+        assert 140 < height < 155 or (height == 100 and "counts its heights from a geoid" in caplog.text)
+
+    def test_the_grid_of_proj_is_applied(self, tmp_path: Path) -> None:
+        """In a process of its own, whose PROJ finds a geoid of 40 m + longitude + 2 latitude written here."""
+        import rasterio
+
+        data = Path(rasterio.__file__).parent / "proj_data"
+        if not (data / "proj.db").is_file():
+            pytest.skip("PROJ's data are not rasterio's own")
+        folder = tmp_path / "proj"
+        shutil.copytree(data, folder)
+        latitude, longitude = np.mgrid[-90:90.1:1.0, -180:180:1.0]
+        head = struct.pack(">4d2i", -90.0, -180.0, 1.0, 1.0, *latitude.shape)
+        (folder / "egm96_15.gtx").write_bytes(head + (40 + longitude + 2 * latitude).astype(">f4").tobytes())
+        code = (
+            "import numpy as np, rasterio, sys\n"
+            "from rasterio.transform import from_origin\n"
+            "from featreg.geolocation import DemHeights\n"
+            "profile = dict(driver='GTiff', width=700, height=600, count=1, dtype='float32', crs='EPSG:4326+5773')\n"
+            "with rasterio.open('dem.tif', 'w', **profile, transform=from_origin(12.0, 47.0, 1e-3, 1e-3)) as dataset:\n"
+            "    dataset.write(np.full((600, 700), 100, np.float32), 1)\n"
+            "at = np.column_stack([np.linspace(12.05, 12.65, 50), np.linspace(46.95, 46.45, 50)])\n"
+            "print(np.abs(DemHeights('dem.tif').at(at) - (140 + at[:, 0] + 2 * at[:, 1])).max())\n"
+        )
+        environment = {**os.environ, "PROJ_DATA": str(folder), "PROJ_LIB": str(folder)}
+        done = subprocess.run(
+            [sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=120
+        )
+        assert float(done.stdout) < 0.05, done.stderr

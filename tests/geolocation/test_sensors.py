@@ -51,7 +51,7 @@ class TestSensorOf:
         everything = Geolocation(grid, UTM, rpc.rpcs, points)
         assert isinstance(sensor_of(everything, SHAPE, "a.tif"), RpcSensor)
         assert isinstance(sensor_of(Geolocation(grid, UTM, None, points), SHAPE, "a.tif"), GeotransformSensor)
-        assert isinstance(sensor_of(Geolocation(grid, None, None, points), SHAPE, "a.tif"), GcpSensor)
+        assert isinstance(sensor_of(Geolocation(None, "EPSG:4326", None, points), SHAPE, "a.tif"), GcpSensor)
 
     @pytest.mark.parametrize("nothing", [None, Geolocation(), Geolocation((1.0, 0, 0, 0, 1.0, 0))])
     def test_an_image_without_geolocation_is_named(self, nothing: Geolocation | None) -> None:
