@@ -29,6 +29,7 @@ from featreg.runtime.cluster import dask_client
 from featreg.runtime.threads import limited_threads, worker_count
 from featreg.runtime.timing import collecting, stage
 from featreg.runtime.watching import Canceller, Progress, cancellable
+from featreg.sar.bridging import bridged, on_sample
 from featreg.types import FloatArray, Image, Matches
 
 #: Images of more pixels are worked on in blocks of so many pixels a side.
@@ -214,7 +215,9 @@ def keypoints_of(
     whole = as_image(image, mask=mask, nodata=nodata, scale=scale)
     if focus is not None and whole.is_complex:
         whole, _ = focused_input(whole, focus)
-    return matcher.detector.detect_features(whole).best(matcher.n_features).xy
+    seen = bridged(whole)
+    xy = matcher.detector.detect_features(seen).best(matcher.n_features).xy
+    return xy[on_sample(xy, seen)]
 
 
 def check_seed(seed: Any) -> None:

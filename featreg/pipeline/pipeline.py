@@ -11,7 +11,7 @@ import numpy as np
 
 from featreg.errors import ParameterError
 from featreg.interfaces import Filter, FilterContext, Matcher, Model
-from featreg.pipeline.inputs import input_image
+from featreg.pipeline.inputs import input_image, with_hints
 from featreg.pipeline.refine import Refine
 from featreg.pipeline.steps import Draft, filtered, fitted, judged, refined
 from featreg.pipeline.trust import Limits
@@ -19,6 +19,7 @@ from featreg.results.registration import Registration
 from featreg.runtime.timing import collecting, stage
 from featreg.runtime.versions import versions
 from featreg.runtime.watching import Progress, Steps
+from featreg.sar.bridging import bridged, on_samples
 from featreg.types import BoolArray, Gate, Image, Matches
 
 #: What `Pipeline.run` counts as one each: tie points, filters, model, refinement, judgement.
@@ -77,8 +78,11 @@ class Pipeline:
             raise ParameterError("this pipeline has no matcher: give it one, or use featreg.fit with tie points")
         steps = Steps(STEPS, progress)
         shapes = reference.shape, secondary.shape
+        given = reference, secondary
         with collecting() as timings:
-            matches = self.matcher.match(reference, secondary)
+            with stage("read"):
+                reference, secondary = bridged(reference), bridged(secondary)
+            matches = on_samples(self.matcher.match(reference, secondary), reference, secondary)
             steps.advance()
             stages = self.filtered(matches, *shapes, seed=seed, initial=initial, search_radius=search_radius)
             steps.advance()
@@ -95,7 +99,12 @@ class Pipeline:
                 draft, *shapes, seed=seed, initial=initial, search_radius=search_radius, seconds=timings
             )
             steps.advance()
-        return replace(result, reference=input_image(reference), secondary=input_image(secondary))
+        return replace(
+            result,
+            reason=with_hints(result.reason, *given),
+            reference=input_image(given[0]),
+            secondary=input_image(given[1]),
+        )
 
     def fit(
         self, matches: Matches, reference_shape: tuple[int, int], secondary_shape: tuple[int, int], *, seed: int = 0

@@ -20,6 +20,7 @@ from featreg.runtime.timing import collecting, stage
 from featreg.scene.blocks import Block
 from featreg.scene.prior import Prior
 from featreg.scene.window_model import WindowModel
+from featreg.sar.bridging import bridged, on_samples
 from featreg.types import BoolArray, FloatArray, Image, Matches
 
 #: Least share of a window's pixels that are data.
@@ -122,14 +123,14 @@ def _matched(job: Job, prior: Prior, block: Block) -> BlockResult:
     if there is None:
         return BlockResult(block.index, "skipped", "outside the secondary")
     with stage("read"):
-        reference = job.reference.read(here)
+        reference = bridged(job.reference.read(here))
         why = skip_reason(reference, "reference")
         if not why:
-            secondary = job.secondary.read(there)
+            secondary = bridged(job.secondary.read(there))
             why = skip_reason(secondary, "secondary")
     if why:
         return BlockResult(block.index, "skipped", why, window=there)
-    found = job.matcher.match(reference, secondary)
+    found = on_samples(job.matcher.match(reference, secondary), reference, secondary)
     rng = np.random.default_rng([job.seed, block.index])
     known = None if job.initial is None else WindowModel(job.initial, here, there)
     context = FilterContext(reference.shape, secondary.shape, job.model, rng, known)
