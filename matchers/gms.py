@@ -58,6 +58,9 @@ class Gms(Filter):
         reference = _unit(matches.reference_xy, context.reference_shape)
         secondary = _unit(matches.secondary_xy, context.secondary_shape)
         sides = _sides(context)
+        if sides[0].prod() < sides[1].prod():
+            # The features of a small image crowd in few cells; in those of the larger one they stand out.
+            reference, secondary, sides = secondary, reference, sides[::-1]
         here = _along(sides[0], sides, self.grid)
         lefts = [_cells(reference, here, dx, dy) for dy in (0.0, 0.5) for dx in (0.0, 0.5)]
         for scale in SCALES if self.scale else SCALES[:1]:

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from featreg.errors import ParameterError
-from featreg.interfaces import Filter, FilterContext, Matcher, Model
-from featreg.pipeline.inputs import input_image, with_hints
+from featreg.interfaces import FailedFit, Filter, FilterContext, Matcher, Model
+from featreg.pipeline.inputs import input_image, pixel_ratio, with_hints
 from featreg.pipeline.refine import Refine
-from featreg.pipeline.steps import Draft, filtered, fitted, judged, refined
+from featreg.pipeline.steps import Draft, counted_from, filtered, fitted, judged, model_counted_back, refined
 from featreg.pipeline.trust import Limits
 from featreg.results.registration import Registration
 from featreg.runtime.timing import collecting, stage
@@ -79,12 +79,20 @@ class Pipeline:
         steps = Steps(STEPS, progress)
         shapes = reference.shape, secondary.shape
         given = reference, secondary
+        records = input_image(reference), input_image(secondary)
         with collecting() as timings:
             with stage("read"):
                 reference, secondary = bridged(reference), bridged(secondary)
             matches = on_samples(self.matcher.match(reference, secondary), reference, secondary)
             steps.advance()
-            stages = self.filtered(matches, *shapes, seed=seed, initial=initial, search_radius=search_radius)
+            stages = self.filtered(
+                matches,
+                *shapes,
+                seed=seed,
+                initial=initial,
+                search_radius=search_radius,
+                pixel_ratio=pixel_ratio(*records, initial),
+            )
             steps.advance()
             draft = self.fitted(matches, stages)
             steps.advance()
@@ -102,17 +110,33 @@ class Pipeline:
         return replace(
             result,
             reason=with_hints(result.reason, *given),
-            reference=input_image(given[0]),
-            secondary=input_image(given[1]),
+            reference=records[0],
+            secondary=records[1],
         )
 
     def fit(
-        self, matches: Matches, reference_shape: tuple[int, int], secondary_shape: tuple[int, int], *, seed: int = 0
+        self,
+        matches: Matches,
+        reference_shape: tuple[int, int],
+        secondary_shape: tuple[int, int],
+        *,
+        seed: int = 0,
+        origins: tuple[tuple[int, int], tuple[int, int]] = ((0, 0), (0, 0)),
     ) -> Registration:
-        """Filter, fit and judge given tie points; without the images nothing is refined."""
+        """Filter, fit and judge given tie points; without the images nothing is refined.
+
+        `origins` are the (x, y) at which the two images begin. Filters, fit and gates count from there; the model and
+        the tie points of the result do not.
+        """
+        shapes = reference_shape, secondary_shape
         with collecting() as timings:
-            draft = self.fitted(matches, self.filtered(matches, reference_shape, secondary_shape, seed=seed))
-            return self.judged(draft, reference_shape, secondary_shape, seed=seed, seconds=timings)
+            moved = counted_from(matches, *origins)
+            draft = self.fitted(moved, self.filtered(moved, *shapes, seed=seed))
+            result = self.judged(draft, *shapes, seed=seed, seconds=timings)
+        model = model_counted_back(draft.model, moved.reference_xy[draft.inliers], *origins)
+        if isinstance(model, FailedFit) and draft.model:
+            result = replace(result, status="unreliable", reason=f"no model in these coordinates: {model.reason}")
+        return replace(result, matches=matches, model=model)
 
     def filtered(
         self,
@@ -124,6 +148,7 @@ class Pipeline:
         initial: Model | None = None,
         search_radius: float | None = None,
         before: Mapping[str, BoolArray] | None = None,
+        pixel_ratio: tuple[float, float] = (1.0, 1.0),
     ) -> dict[str, BoolArray]:
         """The stages of tie points, name -> (M,) bool: those that ran `before`, the model known beforehand, filters."""
         stages = dict(before or {})
@@ -134,7 +159,8 @@ class Pipeline:
             for mask in (before or {}).values():
                 stages["initial"] = stages["initial"] & mask
         left = [(name, keeper) for name, keeper in self.filters if name not in stages]
-        context = FilterContext(reference_shape, secondary_shape, self.model, np.random.default_rng(seed), initial)
+        rng = np.random.default_rng(seed)
+        context = FilterContext(reference_shape, secondary_shape, self.model, rng, initial, pixel_ratio)
         return filtered(matches, left, context, stages)
 
     @property

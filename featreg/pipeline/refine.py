@@ -160,7 +160,7 @@ class Refine:
         def test(xy: IntArray) -> BoolArray:
             good = here[xy[:, 1], xy[:, 0]] & on_sample(xy, reference)
             if secondary.filled is not None:
-                good[good] = on_sample(model(xy[good]), secondary)
+                good[good] = on_sample(model(xy[good].astype(np.float64)), secondary)
             around = model((xy[good][:, None, :] + corners).reshape(-1, 2)).reshape(-1, 4, 2)
             inside = np.asarray(((around >= 0) & (around <= [width - 1, height - 1])).all(axis=(1, 2)))
             if there is not None:

@@ -54,7 +54,7 @@ def on_sample(xy: NDArray[Any], image: Image) -> BoolArray:
     if image.filled is None:
         return np.ones(len(xy), np.bool_)
     x, y = np.clip(np.rint(xy), 0, [image.shape[1] - 1, image.shape[0] - 1]).astype(np.int64).T
-    return ~image.filled[y, x]
+    return np.asarray(~image.filled[y, x])
 
 
 def _gaps(invalid: BoolArray) -> BoolArray:
@@ -66,7 +66,7 @@ def _gaps(invalid: BoolArray) -> BoolArray:
     wide = cv2.morphologyEx(holes, cv2.MORPH_OPEN, np.ones((side, side), np.uint8))
     # What is joined to a wide hole within a gap's width is part of it: its corners, its frayed rim.
     for _ in range(GAP):
-        wide = cv2.dilate(wide, np.ones((3, 3), np.uint8)) & holes
+        wide = cv2.min(cv2.dilate(wide, np.ones((3, 3), np.uint8)), holes)
     gaps = invalid & (wide[pad:-pad, pad:-pad] == 0)
     if gaps.any():
         box = (2 * GAP + 1, 2 * GAP + 1)

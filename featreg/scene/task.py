@@ -14,13 +14,14 @@ from featreg.geometry import Affine
 from featreg.geometry.robust import irls
 from featreg.interfaces import FailedFit, Filter, FilterContext, Matcher, Model
 from featreg.io.raster_source import Source, Window
+from featreg.pipeline.inputs import local_scale
 from featreg.pipeline.refine import Refine
 from featreg.pipeline.steps import ROUNDS, SCALE_PX, filtered, survivors
 from featreg.runtime.timing import collecting, stage
+from featreg.sar.bridging import bridged, on_samples
 from featreg.scene.blocks import Block
 from featreg.scene.prior import Prior
 from featreg.scene.window_model import WindowModel
-from featreg.sar.bridging import bridged, on_samples
 from featreg.types import BoolArray, FloatArray, Image, Matches
 
 #: Least share of a window's pixels that are data.
@@ -133,7 +134,9 @@ def _matched(job: Job, prior: Prior, block: Block) -> BlockResult:
     found = on_samples(job.matcher.match(reference, secondary), reference, secondary)
     rng = np.random.default_rng([job.seed, block.index])
     known = None if job.initial is None else WindowModel(job.initial, here, there)
-    context = FilterContext(reference.shape, secondary.shape, job.model, rng, known)
+    middle = here.x + here.width / 2, here.y + here.height / 2
+    ratio = 1 / (local_scale(prior, middle) or 1.0)
+    context = FilterContext(reference.shape, secondary.shape, job.model, rng, known, (ratio, ratio))
     with stage("prior"):
         predicted = prior(found.reference_xy + here.origin) - there.origin
         # A point that the prior does not reach cannot agree with it.
