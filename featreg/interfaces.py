@@ -128,7 +128,8 @@ class FilterContext:
 
     `reference_shape` and `secondary_shape` are (H, W) of what the matches lie in, images or the windows of a block;
     `model` is the class to be fitted; `rng` is the only source of randomness; `initial` is the model known beforehand,
-    if any, in the same pixels as the matches.
+    if any, in the same pixels as the matches. `pixel_ratio` (x, y) is the size on the ground of a pixel of the
+    secondary over that of one of the reference, as far as anything tells it.
     """
 
     reference_shape: tuple[int, int]
@@ -136,6 +137,7 @@ class FilterContext:
     model: type[Model]
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
     initial: Model | None = None
+    pixel_ratio: tuple[float, float] = (1.0, 1.0)
 
 
 class Filter(Plugin):

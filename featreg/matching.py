@@ -30,6 +30,7 @@ from featreg.runtime.executors import check_executor
 from featreg.runtime.threads import limited_threads, worker_count
 from featreg.runtime.timing import collecting, stage
 from featreg.runtime.watching import Canceller, Progress, cancellable, check_watch
+from featreg.sar.bridging import bridged, on_sample
 from featreg.scene.blocks import BLOCK
 from featreg.types import FloatArray, Image, Matches
 
@@ -175,7 +176,8 @@ def fit(
     points : `Matches`, an (M, 4) array of reference x, y, secondary x, y in pixels, or a file of tie points
         (`featreg.read_tie_points`)
     model, filters, seed, keywords : as in `match`
-    reference_shape, secondary_shape : (H, W); without them the images are taken to end at the outermost tie points
+    reference_shape, secondary_shape : (H, W); without them the images are taken to begin and end at the outermost tie
+        points, wherever these lie: moved tie points (map coordinates, say) are judged alike
 
     Returns
     -------
@@ -184,11 +186,12 @@ def fit(
     check_seed(seed)
     matches = points if isinstance(points, Matches) else _as_matches(points)
     pipeline = assemble_fit(model=model, filters=filters, **keywords)
-    shapes = [
-        given if given is not None else _outer_shape(xy)
+    frames = [
+        ((0, 0), given) if given is not None else _outer_frame(xy)
         for given, xy in ((reference_shape, matches.reference_xy), (secondary_shape, matches.secondary_xy))
     ]
-    result = pipeline.fit(matches, shapes[0], shapes[1], seed=seed)
+    origins, shapes = zip(*frames, strict=True)
+    result = pipeline.fit(matches, shapes[0], shapes[1], seed=seed, origins=origins)
     first, second = (InputImage("tie points", shape) for shape in shapes)
     return replace(result, reference=first, secondary=second)
 
@@ -212,7 +215,9 @@ def keypoints_of(
     whole = as_image(image, mask=mask, nodata=nodata, scale=scale)
     if focus is not None and whole.is_complex:
         whole, _ = focused_input(whole, focus)
-    return matcher.detector.detect_features(whole).best(matcher.n_features).xy
+    seen = bridged(whole)
+    xy = matcher.detector.detect_features(seen).best(matcher.n_features).xy
+    return xy[on_sample(xy, seen)]
 
 
 def check_seed(seed: Any) -> None:
@@ -286,7 +291,10 @@ def _as_matches(points: Any) -> Matches:
     return Matches(array[:, :2], array[:, 2:], np.ones(len(array)))
 
 
-def _outer_shape(xy: Any) -> tuple[int, int]:
+def _outer_frame(xy: FloatArray) -> tuple[tuple[int, int], tuple[int, int]]:
+    """First pixel (x, y) and shape (H, W) of the smallest image that holds all of (M, 2) points."""
     if not len(xy):
-        return 1, 1
-    return int(np.ceil(xy[:, 1].max())) + 1, int(np.ceil(xy[:, 0].max())) + 1
+        return (0, 0), (1, 1)
+    left, top = (int(n) for n in np.floor(xy.min(axis=0)))
+    right, bottom = (int(n) for n in np.ceil(xy.max(axis=0)))
+    return (left, top), (bottom - top + 1, right - left + 1)

@@ -16,6 +16,8 @@ from featreg.types import BoolArray, FloatArray, IntArray, Matches
 
 # The 3 x 3 ring in reading order, walked around once: turning by 45 degrees moves every cell one step.
 RING = np.array([(-1, -1), (0, -1), (1, -1), (1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0)])
+# Fewer cells along a side have no neighbours to agree with.
+LEAST_CELLS = 4.0
 SCALES = (1.0, 0.5, 2**-0.5, 2**0.5, 2.0)
 
 
@@ -26,7 +28,7 @@ class Gms(Filter):
 
     Parameters
     ----------
-    grid : cells along each side of the reference image
+    grid : cells along each side of an image; where the two differ in size, of the larger one
     threshold_factor : a cell's support must reach this many times the root of the mean number of matches a cell
     rotation : try the eight turns of the neighbourhood by 45 degrees, not only the upright one
     scale : try five ratios of the cell sizes (1/2 to 2), not only equal ones
@@ -34,8 +36,10 @@ class Gms(Filter):
     Notes
     -----
     J. Bian et al., "GMS: Grid-based Motion Statistics for Fast, Ultra-robust Feature Correspondence", CVPR 2017,
-    DOI 10.1109/CVPR.2017.302. Gives the same matches as `cv2.xfeatures2d.matchGMS` (held by a test). Sizes are
-    (H, W) of the context; points outside their image are dropped, not folded onto another cell.
+    DOI 10.1109/CVPR.2017.302. Of images of one size it gives the same matches as `cv2.xfeatures2d.matchGMS` (held by a
+    test), whose cells are shares of each image. Of two sizes the cells are equally large on the ground: a chip has as
+    many of them as the part of the scene that it shows, though at least four along a side. Sizes are (H, W) of the
+    context, in pixels whose ratio it states; points outside their image are dropped, not folded onto another cell.
     """
 
     local: ClassVar[bool] = True
@@ -53,21 +57,27 @@ class Gms(Filter):
             return best
         reference = _unit(matches.reference_xy, context.reference_shape)
         secondary = _unit(matches.secondary_xy, context.secondary_shape)
-        lefts = [_cells(reference, self.grid, self.grid, dx, dy) for dy in (0.0, 0.5) for dx in (0.0, 0.5)]
+        sides = _sides(context)
+        if sides[0].prod() < sides[1].prod():
+            # The features of a small image crowd in few cells; in those of the larger one they stand out.
+            reference, secondary, sides = secondary, reference, sides[::-1]
+        here = _along(sides[0], sides, self.grid)
+        lefts = [_cells(reference, here, dx, dy) for dy in (0.0, 0.5) for dx in (0.0, 0.5)]
         for scale in SCALES if self.scale else SCALES[:1]:
-            side = int(self.grid * scale)
-            right = _cells(secondary, side, side, 0.0, 0.0)
-            kept = self._best_turn(lefts, right, side)
+            there = _along(sides[1], sides, int(self.grid * scale))
+            kept = self._best_turn(lefts, _cells(secondary, there, 0.0, 0.0), _whole(here), _whole(there))
             if kept.sum() > best.sum():
                 best = kept
         return best
 
-    def _best_turn(self, lefts: list[IntArray], right: IntArray, side: int) -> BoolArray:
+    def _best_turn(
+        self, lefts: list[IntArray], right: IntArray, left_grid: tuple[int, int], right_grid: tuple[int, int]
+    ) -> BoolArray:
         """The matches kept by the turn that keeps most, each turn joined over the four shifts of the grid."""
         from featreg.sar.keypoints import motion_kernels
 
-        cells = self.grid * self.grid
-        counts = np.empty((cells, side * side), np.int64)
+        cells = left_grid[0] * left_grid[1]
+        counts = np.empty((cells, right_grid[0] * right_grid[1]), np.int64)
         population, best, passed = np.empty(cells, np.int64), np.empty(cells, np.int64), np.empty(cells, np.bool_)
         turns = range(8) if self.rotation else range(1)
         kept = [np.zeros(len(right), np.bool_) for _ in turns]
@@ -75,10 +85,30 @@ class Gms(Filter):
             motion_kernels.count_motions(left, right, counts, population, best)
             for turn in turns:
                 motion_kernels.verify_cells(
-                    counts, population, best, self.grid, side, side, _turned(turn), self.threshold_factor, passed
+                    counts, population, best, *left_grid, *right_grid, _turned(turn), self.threshold_factor, passed
                 )
                 motion_kernels.mark_matches(left, right, best, passed, kept[turn])
         return max(kept, key=np.count_nonzero)
+
+
+def _sides(context: FilterContext) -> FloatArray:
+    """(2, 2) width and height of the reference, and of the secondary in pixels of the reference."""
+    sides = np.array([context.reference_shape[::-1], context.secondary_shape[::-1]], np.float64)
+    sides[1] *= context.pixel_ratio
+    return sides
+
+
+def _along(side: FloatArray, sides: FloatArray, grid: int) -> FloatArray:
+    """(2,) cells, of one size in both images, along the width and the height of one of them."""
+    largest, smallest = sides.max(axis=0), sides.min(axis=0)
+    finer = np.maximum(1.0, LEAST_CELLS / (grid * (smallest / largest)))
+    return np.asarray(grid * (side / largest) * finer)
+
+
+def _whole(along: FloatArray) -> tuple[int, int]:
+    """Columns and rows of cells, the last of which may be cut."""
+    wide, high = np.ceil(along).astype(int).tolist()
+    return wide, high
 
 
 def _unit(xy: FloatArray, shape: tuple[int, int]) -> FloatArray:
@@ -88,11 +118,12 @@ def _unit(xy: FloatArray, shape: tuple[int, int]) -> FloatArray:
     return np.where(inside[:, None], np.maximum(xy, 0) / size, np.nan)
 
 
-def _cells(unit: FloatArray, wide: int, high: int, dx: float, dy: float) -> IntArray:
-    """Cell number of each point on a wide x high grid moved by (dx, dy) of a cell; -1 outside."""
+def _cells(unit: FloatArray, along: FloatArray, dx: float, dy: float) -> IntArray:
+    """Cell number of each point on a grid moved by (dx, dy) of a cell; -1 outside."""
+    wide, high = _whole(along)
     with np.errstate(invalid="ignore"):
-        x = np.floor(unit[:, 0] * wide + dx)
-        y = np.floor(unit[:, 1] * high + dy)
+        x = np.floor(unit[:, 0] * along[0] + dx)
+        y = np.floor(unit[:, 1] * along[1] + dy)
         inside = (x >= 0) & (y >= 0) & (x < wide) & (y < high)
     return np.where(inside, y * wide + x, -1).astype(np.int64)
 

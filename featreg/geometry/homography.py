@@ -15,6 +15,9 @@ from featreg.interfaces import FailedFit
 from featreg.registry import register
 from featreg.types import FloatArray
 
+# Least volume (see `_volume`) of a matrix that is taken for invertible.
+LEAST_VOLUME = 1e-15
+
 
 @register("homography")
 @dataclass(frozen=True, eq=False)
@@ -41,8 +44,7 @@ class Homography(GeneralMatrixModel):
 
     def __post_init__(self) -> None:
         c = coefficient_array(self.coefficients, (3, 3), "Homography.coefficients")
-        volume = abs(float(np.linalg.det(c))) / max(float(np.prod(np.linalg.norm(c, axis=1))), 1e-300)
-        if volume < 1e-15:
+        if _volume(c) < LEAST_VOLUME:
             raise InputError(f"a homography must be invertible, got {c.tolist()}")
         object.__setattr__(self, "coefficients", c)
 
@@ -76,7 +78,10 @@ class Homography(GeneralMatrixModel):
         back[:2, 2] = n.secondary_centre
         there = np.diag([1 / n.reference_scale, 1 / n.reference_scale, 1.0])
         there[:2, 2] = -n.reference_centre / n.reference_scale
-        return cls(_unit_corner(back @ h @ there))
+        found = _unit_corner(back @ h @ there)
+        if _volume(found) < LEAST_VOLUME:
+            return FailedFit("the fit maps the plane onto a line as seen from the origin of the coordinates")
+        return cls(found)
 
     def __call__(self, xy: FloatArray) -> FloatArray:
         p = np.asarray(xy, np.float64)
@@ -109,6 +114,16 @@ class Homography(GeneralMatrixModel):
     @property
     def parameters(self) -> Mapping[str, Any]:
         return {"coefficients": self.coefficients.tolist()}
+
+
+def _volume(h: FloatArray) -> float:
+    """Determinant of a (3, 3) matrix whose columns, then rows, are brought to unit length: 1 where they are orthogonal.
+
+    The columns first: the last one holds coordinates, which may be far from 0.
+    """
+    columns = h / np.maximum(np.linalg.norm(h, axis=0), 1e-300)
+    rows = columns / np.maximum(np.linalg.norm(columns, axis=1), 1e-300)[:, None]
+    return abs(float(np.linalg.det(rows)))
 
 
 def _unit_corner(h: FloatArray) -> FloatArray:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import InputError, ParameterError, suggest
+from featreg.io.arrays import count_of, is_array, plain_array
 from featreg.io.masks import MaskLike, as_mask, holds_nodata
 from featreg.io.readers import Raster, read_raster, read_small_raster
 from featreg.io.scales import SCALES, NoContentError, check_content, complex_pixels, real_pixels
@@ -55,8 +56,10 @@ def as_image(
 
     Notes
     -----
-    Real samples with negative values and no stated scale count as decibels where all lie within -90 .. 60 and at least
-    1 % are negative. Arrays are copied, never locked or shared. A scale and offset kept in a GeoTIFF are applied.
+    Real samples with negative values and no stated scale are what the file's band names and units say. Without a word
+    there, small negatives below a long upper tail are those of an intensity from which noise was removed; else samples
+    count as decibels where all lie within -90 .. 60 and at least 1 % are negative. Arrays are copied, never locked or
+    shared. A scale and offset kept in a GeoTIFF are applied.
     """
     if scale is not None and scale not in SCALES:
         raise ParameterError(f"unknown scale '{scale}', {suggest(scale, SCALES)}")
@@ -64,12 +67,11 @@ def as_image(
         return _restricted(source, mask, nodata, scale)
     if isinstance(source, str | Path):
         return _image(read_raster(source), str(source), mask, nodata, scale, owned=True)
-    if not hasattr(source, "__array__"):
+    if not is_array(source):
         given = type(source).__name__
         raise InputError(f"cannot make an image from {given}; give a path, a 2-D array or a featreg Image")
-    array = np.asarray(source)
-    hidden = np.ma.getmaskarray(source) if isinstance(source, np.ma.MaskedArray) else None
-    raster = Raster(array, array.dtype.name, None if hidden is None else ~hidden)
+    array, shown = plain_array(source)
+    raster = Raster(array, array.dtype.name, shown)
     return _image(raster, "array", mask, nodata, scale, owned=False)
 
 
@@ -85,7 +87,7 @@ def small_image(
     if isinstance(source, str | Path) and scale in (None, *SCALES):
         raster = read_small_raster(source, most)
         return None if raster is None else _image(raster, str(source), mask, nodata, scale, owned=True)
-    pixels = source.mask.size if isinstance(source, Image) else np.size(source) if hasattr(source, "__array__") else 0
+    pixels = source.mask.size if isinstance(source, Image) else count_of(source) if is_array(source) else 0
     return None if pixels > most else as_image(source, mask=mask, nodata=nodata, scale=scale)
 
 
@@ -110,7 +112,10 @@ def image_or_none(array: NDArray[Any], mask: NDArray[Any] | None = None) -> Imag
         Misuse: more dimensions than two, a mask of another shape, samples that are no numbers. An image smaller than
         16 x 16, without a valid pixel or of one value is none.
     """
-    valid = None if mask is None else np.asarray(mask) != 0
+    valid: NDArray[Any] | None = None
+    if mask is not None:
+        given, shown = plain_array(mask)
+        valid = given != 0 if shown is None else (given != 0) & shown
     if valid is not None and valid.shape != np.shape(array)[:2]:
         raise InputError(f"the mask must have the shape of the array, {np.shape(array)[:2]}, got {valid.shape}")
     try:
@@ -148,7 +153,7 @@ def _image(
     else:
         if scale == "complex":
             raise InputError(f"{name}: holds real {samples.dtype} samples; scale is amplitude, intensity or db")
-        pixels, valid, scale = real_pixels(samples, valid, scale, name, owned)
+        pixels, valid, scale = real_pixels(samples, valid, scale, name, owned, said=raster.said)
     if valid is None:
         valid = np.ones(pixels.shape, np.bool_)
     else:

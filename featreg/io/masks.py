@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from featreg.errors import InputError, ParameterError
+from featreg.io.arrays import is_array, plain_array
 from featreg.io.readers import read_raster
 from featreg.types import BoolArray, FloatArray
 
@@ -22,7 +23,8 @@ def as_mask(mask: MaskLike, shape: tuple[int, int], name: str) -> BoolArray:
 
     Parameters
     ----------
-    mask : (H, W) bool or numbers (non-zero = valid, NaN = invalid), the path of such an image, or one polygon or a list
+    mask : (H, W) bool or numbers (non-zero = valid, NaN and what the array itself holds for masked = invalid), an array
+        of numpy, dask, xarray or pandas or a picture of Pillow; the path of such an image, or one polygon or a list
         of polygons, each (K, 2) of (x, y) in pixels; see `inside_polygons`
     shape : (H, W) of the image
     name : what the image is called in messages
@@ -40,8 +42,12 @@ def as_mask(mask: MaskLike, shape: tuple[int, int], name: str) -> BoolArray:
             if more is not None:
                 valid &= more
         return valid
-    if isinstance(mask, np.ndarray) and mask.ndim == 2 and (mask.shape == shape or mask.shape[1] != 2):
-        return _nonzero(mask, shape, f"mask of {name}")
+    if is_array(mask):
+        samples, shown = plain_array(mask)
+        if samples.ndim == 2 and (samples.shape == shape or samples.shape[1] != 2):
+            valid = _nonzero(samples, shape, f"mask of {name}")
+            return valid if shown is None else valid & shown
+        mask = samples
     return inside_polygons(polygons_of(mask, name), shape)
 
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from featreg.errors import InputError
 from featreg.io.masks import holds_nodata
-from featreg.io.readers import Raster, gdal_dataset, geolocation_of, quiet, read_raster, reason
+from featreg.io.readers import Raster, gdal_dataset, geolocation_of, quiet, read_raster, reason, shown, stated_scale
 from featreg.io.scales import real_pixels
 from featreg.io.window import Window
 from featreg.runtime.numpy_files import load_array
@@ -114,7 +114,6 @@ def read_samples(path: str, band: int, window: Window) -> Raster:
 
 def _gdal_samples(path: str, stamp: Stamp, band: int, part: Window) -> Raster:
     import rasterio
-    from rasterio.enums import MaskFlags
     from rasterio.windows import Window as RasterioWindow
 
     box = RasterioWindow(part.x, part.y, part.width, part.height)
@@ -122,10 +121,7 @@ def _gdal_samples(path: str, stamp: Stamp, band: int, part: Window) -> Raster:
         try:
             dataset = _opened(path, stamp)
             samples = dataset.read(band, window=box)
-            flags = dataset.mask_flag_enums[band - 1]
-            mask = None
-            if MaskFlags.per_dataset in flags or MaskFlags.alpha in flags:
-                mask = dataset.read_masks(band, window=box) != 0
+            mask = shown(dataset, band, box)
         except rasterio.errors.RasterioError as error:
             message = f"{path}: the file is broken or cut short ({reason(error)}); a complete file is needed"
             raise InputError(message) from error
@@ -136,6 +132,7 @@ def _gdal_samples(path: str, stamp: Stamp, band: int, part: Window) -> Raster:
             dataset.nodatavals[band - 1],
             dataset.scales[band - 1],
             dataset.offsets[band - 1],
+            said=stated_scale(dataset, band),
         )
 
 
@@ -214,4 +211,4 @@ def inferred_scale(
     values = np.concatenate(parts)
     if not len(values):
         return "amplitude"
-    return real_pixels(values[None], None, None, path, owned=False, content=False)[2]
+    return real_pixels(values[None], None, None, path, owned=False, content=False, said=raster.said)[2]

@@ -8,12 +8,13 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import InputError, ParameterError
+from featreg.io.arrays import is_array
 from featreg.io.masks import MaskLike, holds_nodata, inside_polygons, polygons_of
 from featreg.io.raster_files import CACHE_BYTES, Head, inferred_scale, physical, read_head, read_samples, stamp_of
 from featreg.io.readers import Raster
@@ -273,7 +274,7 @@ def open_source(
     held: Any = None
     if isinstance(mask, str | Path):
         held = str(mask)
-    elif isinstance(mask, np.ndarray) and mask.ndim == 2 and mask.shape[1] != 2:
+    elif is_array(mask) and len(shape := np.shape(cast(Any, mask))) == 2 and shape[1] != 2:
         # A mask in memory is as large as a scene in memory.
         return ImageSource(as_image(source, mask=mask, nodata=nodata, scale=scale))
     elif mask is not None:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from featreg.errors import InputError, suggest
 from featreg.io.mat_structure import check_mat
+from featreg.io.scales import scale_in_words
 from featreg.io.sicd import is_sicd, read_sicd
 from featreg.types import BoolArray, Geolocation
 
@@ -56,6 +57,7 @@ class Raster:
     nodata : the file's nodata value, compared with `samples`
     gain, offset : value = gain * sample + offset
     geolocation : where the file says the image lies
+    said : the scale that the file's names and units of the band state, if any
     """
 
     samples: NDArray[Any]
@@ -65,6 +67,7 @@ class Raster:
     gain: float = 1.0
     offset: float = 0.0
     geolocation: Geolocation | None = None
+    said: str | None = None
 
 
 def read_raster(source: str | Path) -> Raster:
@@ -246,7 +249,7 @@ def _gray(path: Path, colours: NDArray[Any], driver: str) -> NDArray[Any]:
 
 
 def _read_dataset(path: Path, dataset: Any) -> Raster:
-    from rasterio.enums import ColorInterp, MaskFlags
+    from rasterio.enums import ColorInterp
 
     if len(dataset.subdatasets) > 1:
         pages = len(dataset.subdatasets)
@@ -260,10 +263,7 @@ def _read_dataset(path: Path, dataset: Any) -> Raster:
     samples = dataset.read(bands[0])
     if len(bands) == 3:
         samples = _gray(path, np.stack([samples, *(dataset.read(band) for band in bands[1:])]), dataset.driver)
-    flags = dataset.mask_flag_enums[bands[0] - 1]
-    mask = None
-    if MaskFlags.per_dataset in flags or MaskFlags.alpha in flags:
-        mask = dataset.read_masks(bands[0]) != 0
+    mask = shown(dataset, bands[0])
     if dataset.colorinterp[bands[0] - 1] == ColorInterp.palette:
         samples, opaque = _through_palette(path, samples, dataset.colormap(bands[0]))
         mask = opaque if mask is None else mask & opaque
@@ -275,7 +275,32 @@ def _read_dataset(path: Path, dataset: Any) -> Raster:
         dataset.scales[bands[0] - 1],
         dataset.offsets[bands[0] - 1],
         geolocation_of(dataset),
+        stated_scale(dataset, bands[0]),
     )
+
+
+def stated_scale(dataset: Any, band: int) -> str | None:
+    """The scale that the description, unit and tags of a band of an open dataset state, if any."""
+    tags = dataset.tags(band)
+    more = [tags.get(name) for name in ("units", "long_name", "standard_name", "DESCRIPTION")]
+    return scale_in_words(dataset.descriptions[band - 1], dataset.units[band - 1], *more)
+
+
+def shown(dataset: Any, band: int, window: Any = None) -> BoolArray | None:
+    """(H, W) what a file's mask band or alpha band shows of one of its bands; None where it has neither.
+
+    GDAL's own mask leaves out an alpha band where the band also has a nodata value, which the caller compares.
+    """
+    from rasterio.enums import ColorInterp, MaskFlags
+
+    flags = dataset.mask_flag_enums[band - 1]
+    mask = None
+    if MaskFlags.per_dataset in flags or MaskFlags.alpha in flags:
+        mask = dataset.read_masks(band, window=window) != 0
+    if MaskFlags.alpha not in flags and ColorInterp.alpha in dataset.colorinterp:
+        opaque = dataset.read(dataset.colorinterp.index(ColorInterp.alpha) + 1, window=window) != 0
+        mask = opaque if mask is None else mask & opaque
+    return mask
 
 
 def _through_palette(path: Path, samples: NDArray[Any], palette: dict[int, Any]) -> tuple[NDArray[Any], BoolArray]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,18 @@ from featreg.types import BoolArray
 SCALES = ("amplitude", "intensity", "db", "complex")
 DB_RANGE = (-90.0, 60.0)
 DB_NEGATIVE_SHARE = 0.01
+#: A distribution is that of linear samples where its upper tail (median to 99th percentile) is so many times as long as
+#: its lower one. Speckle of one look: 6 in intensity, 0.4 in decibels; of four 2.2 and 0.7, but where noise was removed
+#: the scene holds dark and bright ground and the ratio is above 5. Decibels of a dark sea with a bright coast reach 2.
+LINEAR_TAIL = 3.0
+#: What noise removal leaves below 0 is at most so large, its median over the 99th percentile of all samples.
+SMALL_NEGATIVE = 0.1
+
+WORDS = {
+    "db": ("db", "decibel", "decibels"),
+    "amplitude": ("amplitude", "magnitude", "amp", "mag"),
+    "intensity": ("intensity", "power", "sigma0", "gamma0", "beta0", "sigma", "gamma", "beta", "nrcs"),
+}
 
 logger = logging.getLogger("featreg.io")
 
@@ -29,6 +42,7 @@ def real_pixels(
     name: str,
     owned: bool,
     content: bool = True,
+    said: str | None = None,
 ) -> tuple[NDArray[np.float32], BoolArray | None, str]:
     """Return amplitude, the mask (None = all valid) and the scale the samples had.
 
@@ -40,6 +54,8 @@ def real_pixels(
     name : what the image is called in messages
     owned : whether `samples` may be kept instead of copied
     content : whether one value, or none, is an error; a window of a scene may hold nothing
+    said : what the names and units of the file say the samples are, see `scale_in_words`; it counts where the samples
+        themselves leave a choice
 
     Raises
     ------
@@ -60,8 +76,8 @@ def real_pixels(
     negative = (values < 0) & valid
     below = int(negative.sum())
     if scale is None:
-        scale = _inferred_scale(values[valid], below, name) if below else "amplitude"
-    elif below and scale != "db":
+        scale = _inferred_scale(values[valid], below, name, said) if below else "amplitude"
+    if below and scale != "db":
         valid &= ~negative
         level = logging.WARNING if content else logging.DEBUG  # once a scene, not once a window
         logger.log(level, "%s: %d negative samples cannot be %s and were masked", name, below, scale)
@@ -101,10 +117,26 @@ def check_content(pixels: NDArray[Any], valid: BoolArray, name: str) -> None:
         raise NoContentError(_constant(name, first))
 
 
-def _inferred_scale(values: NDArray[Any], below: int, name: str) -> str:
+def scale_in_words(*texts: str | None) -> str | None:
+    """Return the scale that the name or unit of a band states ("Sigma0_VV_db", "Intensity_VH", "dB"), or None."""
+    words = set(re.split(r"[^a-z0-9]+", " ".join(text for text in texts if text).lower()))
+    return next((scale for scale, known in WORDS.items() if words.intersection(known)), None)
+
+
+def _inferred_scale(values: NDArray[Any], below: int, name: str, said: str | None) -> str:
     """Return the scale of valid samples, `below` of them negative, where it can be told without a silent guess."""
     low, high = values.min(), values.max()
     share = below / values.size
+    if said is not None:
+        logger.info("%s: %d negative samples; the file's own words say %s", name, below, said)
+        return said
+    if _noise_removed(values):
+        message = (
+            "%s: values %.4g .. %.4g, %.2g %% of them small negatives below a long upper tail, were taken as intensity "
+            "with its noise removed; state scale= to be sure"
+        )
+        logger.warning(message, name, low, high, 100 * share)
+        return "intensity"
     if DB_RANGE[0] <= low and high <= DB_RANGE[1] and share >= DB_NEGATIVE_SHARE:
         message = "%s: values %.4g .. %.4g, %.0f %% of them negative, were taken as decibels; state scale= to be sure"
         logger.warning(message, name, low, high, 100 * share)
@@ -113,6 +145,15 @@ def _inferred_scale(values: NDArray[Any], below: int, name: str) -> str:
         f"{name}: {below} samples are negative (lowest {low:.6g}), so it is no amplitude and its scale cannot be told; "
         "state scale='amplitude', 'intensity' or 'db', or the nodata value as nodata="
     )
+
+
+def _noise_removed(values: NDArray[Any]) -> bool:
+    """Whether samples some of which are negative are distributed as linear ones from which noise was subtracted."""
+    low, middle, high = np.quantile(values, [0.01, 0.5, 0.99])
+    if not middle > 0:
+        return False
+    deep = float(np.median(-values[values < 0]))
+    return bool(high - middle >= LINEAR_TAIL * (middle - low) and deep <= SMALL_NEGATIVE * high)
 
 
 def _constant(name: str, value: complex) -> str:

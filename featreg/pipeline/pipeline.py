@@ -13,15 +13,16 @@ from featreg.errors import ParameterError
 from featreg.interfaces import FailedFit, Filter, FilterContext, Matcher, Model
 from featreg.pipeline.feature_matcher import FeatureMatcher
 from featreg.pipeline.frame import Frame, stated_frame
-from featreg.pipeline.inputs import input_image
+from featreg.pipeline.inputs import input_image, pixel_ratio, with_hints
 from featreg.pipeline.refine import Refine
-from featreg.pipeline.steps import Draft, filtered, fitted, judged, refined
+from featreg.pipeline.steps import Draft, counted_from, filtered, fitted, judged, model_counted_back, refined
 from featreg.pipeline.trust import Limits
 from featreg.results.losses import image_words
 from featreg.results.registration import Registration
 from featreg.runtime.timing import collecting, stage
 from featreg.runtime.versions import versions
 from featreg.runtime.watching import Progress, Steps
+from featreg.sar.bridging import bridged, on_samples
 from featreg.types import BoolArray, FloatArray, Gate, Image, Matches
 
 #: What `Pipeline.run` counts as one each: tie points, filters, model, refinement, judgement.
@@ -118,16 +119,27 @@ class Pipeline:
             raise ParameterError("this pipeline has no matcher")
         steps = Steps(STEPS, progress)
         shapes = reference.shape, secondary.shape
+        given = reference, secondary
+        records = input_image(reference), input_image(secondary)
         with collecting() as timings:
-            matches = matcher.match(reference, secondary)
+            with stage("read"):
+                reference, secondary = bridged(reference), bridged(secondary)
+            matches = on_samples(matcher.match(reference, secondary), reference, secondary)
             steps.advance()
-            stages = self.filtered(matches, *shapes, seed=seed, initial=initial, search_radius=search_radius)
+            stages = self.filtered(
+                matches,
+                *shapes,
+                seed=seed,
+                initial=initial,
+                search_radius=search_radius,
+                pixel_ratio=pixel_ratio(*records, initial),
+            )
             steps.advance()
             far = None if search_radius is None else f"lies within {search_radius:g} px of the initial model"
             draft = self.fitted(matches, stages, {} if far is None else {"initial": far})
             if not len(matches):
-                seen = [image_words(r, input_image(i)) for r, i in (("reference", reference), ("secondary", secondary))]
-                draft = draft.without_model("; ".join(seen))
+                seen = zip(("reference", "secondary"), records, strict=True)
+                draft = draft.without_model("; ".join(image_words(role, image) for role, image in seen))
             steps.advance()
             if self.refine is not None:
                 with stage("refine"):
@@ -140,15 +152,36 @@ class Pipeline:
                 draft, *shapes, seed=seed, initial=initial, search_radius=search_radius, seconds=timings
             )
             steps.advance()
-        return replace(result, reference=input_image(reference), secondary=input_image(secondary))
+        return replace(
+            result,
+            reason=with_hints(result.reason, *given),
+            reference=records[0],
+            secondary=records[1],
+        )
 
     def fit(
-        self, matches: Matches, reference_shape: tuple[int, int], secondary_shape: tuple[int, int], *, seed: int = 0
+        self,
+        matches: Matches,
+        reference_shape: tuple[int, int],
+        secondary_shape: tuple[int, int],
+        *,
+        seed: int = 0,
+        origins: tuple[tuple[int, int], tuple[int, int]] = ((0, 0), (0, 0)),
     ) -> Registration:
-        """Filter, fit and judge given tie points; without the images nothing is refined."""
+        """Filter, fit and judge given tie points; without the images nothing is refined.
+
+        `origins` are the (x, y) at which the two images begin. Filters, fit and gates count from there; the model and
+        the tie points of the result do not.
+        """
+        shapes = reference_shape, secondary_shape
         with collecting() as timings:
-            draft = self.fitted(matches, self.filtered(matches, reference_shape, secondary_shape, seed=seed))
-            return self.judged(draft, reference_shape, secondary_shape, seed=seed, seconds=timings)
+            moved = counted_from(matches, *origins)
+            draft = self.fitted(moved, self.filtered(moved, *shapes, seed=seed))
+            result = self.judged(draft, *shapes, seed=seed, seconds=timings)
+        model = model_counted_back(draft.model, moved.reference_xy[draft.inliers], *origins)
+        if isinstance(model, FailedFit) and draft.model:
+            result = replace(result, status="unreliable", reason=f"no model in these coordinates: {model.reason}")
+        return replace(result, matches=matches, model=model)
 
     def filtered(
         self,
@@ -160,6 +193,7 @@ class Pipeline:
         initial: Model | None = None,
         search_radius: float | None = None,
         before: Mapping[str, BoolArray] | None = None,
+        pixel_ratio: tuple[float, float] = (1.0, 1.0),
     ) -> dict[str, BoolArray]:
         """The stages of tie points, name -> (M,) bool: those that ran `before`, the model known beforehand, filters."""
         stages = dict(before or {})
@@ -170,7 +204,8 @@ class Pipeline:
             for mask in (before or {}).values():
                 stages["initial"] = stages["initial"] & mask
         left = [(name, keeper) for name, keeper in self.filters if name not in stages]
-        context = FilterContext(reference_shape, secondary_shape, self.model, np.random.default_rng(seed), initial)
+        rng = np.random.default_rng(seed)
+        context = FilterContext(reference_shape, secondary_shape, self.model, rng, initial, pixel_ratio)
         return filtered(matches, left, context, stages)
 
     @property

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from featreg.geometry.robust import irls
 from featreg.interfaces import FailedFit, Model
 from featreg.runtime.parameters import Positive, checked
+from featreg.sar.bridging import on_sample
 from featreg.sar.correlation import Peaks, local_correlations, peaks
 from featreg.sar.pyramid import clear
 from featreg.sar.speckle import despeckled
@@ -146,7 +147,10 @@ class Refine:
         return model, there, usable & (weights > 0)
 
     def _usable(self, reference: Image, secondary: Image, model: Model) -> Callable[[IntArray], BoolArray]:
-        """A test of points: whether the whole window and search range around each is valid in both images."""
+        """A test of points: whether the whole window and search range around each is valid in both images.
+
+        Bridged samples may lie in the window, but not at the point itself.
+        """
         reach = self.half + MARGIN
         here = clear(reference, reach)
         height, width = secondary.shape
@@ -154,7 +158,9 @@ class Refine:
         there = None if secondary.all_valid else clear(secondary, MARGIN)
 
         def test(xy: IntArray) -> BoolArray:
-            good = here[xy[:, 1], xy[:, 0]].copy()
+            good = here[xy[:, 1], xy[:, 0]] & on_sample(xy, reference)
+            if secondary.filled is not None:
+                good[good] = on_sample(model(xy[good].astype(np.float64)), secondary)
             around = model((xy[good][:, None, :] + corners).reshape(-1, 2)).reshape(-1, 4, 2)
             inside = np.asarray(((around >= 0) & (around <= [width - 1, height - 1])).all(axis=(1, 2)))
             if there is not None:

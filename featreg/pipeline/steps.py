@@ -186,6 +186,27 @@ def judged(
         return assess(evidence, limits, further)
 
 
+def counted_from(matches: Matches, here: tuple[int, int], there: tuple[int, int]) -> Matches:
+    """Tie points counted from the points (x, y) `here` of the reference and `there` of the secondary."""
+    if not (any(here) or any(there)):
+        return matches
+    return replace(
+        matches, reference_xy=matches.reference_xy - np.array(here), secondary_xy=matches.secondary_xy - np.array(there)
+    )
+
+
+def model_counted_back(
+    model: Model | FailedFit, reference_xy: FloatArray, here: tuple[int, int], there: tuple[int, int]
+) -> Model | FailedFit:
+    """The model of points (M, 2) that are counted from `here` and `there`, for those counted from (0, 0).
+
+    Moving the origins leaves the kind of a model: a fit to what the model says of its points is the model.
+    """
+    if isinstance(model, FailedFit) or not (any(here) or any(there)):
+        return model
+    return type(model).from_estimate(reference_xy + np.array(here), model(reference_xy) + np.array(there))
+
+
 def _distinct_rows(xy: FloatArray) -> IntArray:
     """Rows of the first of each set of equal points, in order."""
     order = np.lexsort(xy.T)

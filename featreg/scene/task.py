@@ -16,9 +16,11 @@ from featreg.interfaces import FailedFit, Filter, FilterContext, Matcher, Model
 from featreg.io.raster_source import Source, Window
 from featreg.pipeline.feature_matcher import FeatureMatcher
 from featreg.pipeline.frame import Frame, frame_of, linear_at
+from featreg.pipeline.inputs import local_scale
 from featreg.pipeline.refine import Refine
 from featreg.pipeline.steps import ROUNDS, SCALE_PX, filtered, survivors
 from featreg.runtime.timing import collecting, stage
+from featreg.sar.bridging import bridged, on_samples
 from featreg.scene.blocks import Block
 from featreg.scene.prior import Prior
 from featreg.scene.window_model import WindowModel
@@ -124,10 +126,10 @@ def _matched(job: Job, prior: Prior, block: Block) -> BlockResult:
     if there is None:
         return BlockResult(block.index, "skipped", "outside the secondary")
     with stage("read"):
-        reference = job.reference.read(here)
+        reference = bridged(job.reference.read(here))
         why = skip_reason(reference, "reference")
         if not why:
-            secondary = job.secondary.read(there)
+            secondary = bridged(job.secondary.read(there))
             why = skip_reason(secondary, "secondary")
     if why:
         return BlockResult(block.index, "skipped", why, window=there)
@@ -135,11 +137,14 @@ def _matched(job: Job, prior: Prior, block: Block) -> BlockResult:
     if frame is not None:
         with stage("prior"):
             secondary = frame.resampled(secondary)
-    found = job.matcher.match(reference, secondary)
+    found = on_samples(job.matcher.match(reference, secondary), reference, secondary)
     own = found if frame is None else frame.back(found)
     rng = np.random.default_rng([job.seed, block.index])
     known = None if job.initial is None else WindowModel(job.initial, here, there)
-    context = FilterContext(reference.shape, secondary.shape, job.model, rng, known)
+    middle = here.x + here.width / 2, here.y + here.height / 2
+    # In the frame of the reference the pixels are as large as there.
+    ratio = 1.0 if frame is not None else 1 / (local_scale(prior, middle) or 1.0)
+    context = FilterContext(reference.shape, secondary.shape, job.model, rng, known, (ratio, ratio))
     with stage("prior"):
         predicted = prior(own.reference_xy + here.origin) - there.origin
         # A point that the prior does not reach cannot agree with it.

@@ -47,6 +47,8 @@ class Image(ReadOnlyArrays):
     name : the path it came from, or "array"
     source_dtype : dtype of the samples before conversion; 8-bit sources are not stretched again for 8-bit code
     scale : what the source held: "amplitude", "intensity", "db" or "complex"
+    filled : (H, W) bool, of an image prepared for features the valid pixels that hold no sample of their own but what
+        the samples around them say; None = none
 
     Raises
     ------
@@ -65,6 +67,7 @@ class Image(ReadOnlyArrays):
     name: str = "array"
     source_dtype: str = "float32"
     scale: str = "amplitude"
+    filled: BoolArray | None = None
     _derived: DerivedMaps = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -76,6 +79,8 @@ class Image(ReadOnlyArrays):
             raise InputError(f"mask must be bool {self.pixels.shape}, got {self.mask.dtype} {self.mask.shape}")
         object.__setattr__(self, "pixels", kept(self.pixels))
         object.__setattr__(self, "mask", kept(self.mask))
+        if self.filled is not None:
+            object.__setattr__(self, "filled", kept(self.filled))
         object.__setattr__(self, "_derived", DerivedMaps())
 
     @property

@@ -37,8 +37,8 @@ def count_motions(left: I64, right: I64, counts: I64, population: I64, best: I64
 
 @compiled
 def verify_cells(
-    counts: I64, population: I64, best: I64, left_side: int, right_wide: int, right_high: int, ring: I64, factor: float,
-    passed: B,
+    counts: I64, population: I64, best: I64, left_wide: int, left_high: int, right_wide: int, right_high: int,
+    ring: I64, factor: float, passed: B,
 ) -> None:  # fmt: skip
     """Mark the left cells whose best motion is supported by the eight cells around, turned by `ring`.
 
@@ -51,13 +51,13 @@ def verify_cells(
             continue
         score, total, cells = 0, 0, 0
         for k in range(9):
-            ax, ay = a % left_side + k % 3 - 1, a // left_side + k // 3 - 1
+            ax, ay = a % left_wide + k % 3 - 1, a // left_wide + k // 3 - 1
             bx, by = b % right_wide + ring[k, 0], b // right_wide + ring[k, 1]
-            if ax < 0 or ay < 0 or ax >= left_side or ay >= left_side:
+            if ax < 0 or ay < 0 or ax >= left_wide or ay >= left_high:
                 continue
             if bx < 0 or by < 0 or bx >= right_wide or by >= right_high:
                 continue
-            near = ay * left_side + ax
+            near = ay * left_wide + ax
             score += counts[near, by * right_wide + bx]
             total += population[near]
             cells += 1
