@@ -37,6 +37,7 @@ class Draft:
     putative : (M,) rows of the matcher
     inliers : (M,) rows on which the model was fitted
     model : the best fit so far
+    measured : what a refinement measured, also what its fit left out; None without one
     """
 
     matches: Matches
@@ -45,6 +46,7 @@ class Draft:
     putative: BoolArray
     inliers: BoolArray
     model: Model | FailedFit
+    measured: Matches | None = None
 
 
 def filtered(
@@ -129,6 +131,7 @@ def refined(draft: Draft, found: Refined | None, least: int = 0) -> Draft:
         putative,
         np.concatenate([before, added]),
         found.model,
+        found.measured,
     )
 
 
@@ -161,6 +164,7 @@ def judged(
             *shapes,
             initial=initial,
             search_radius=search_radius,
+            measured=draft.measured,
         )
         return assess(evidence, limits, further)
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from featreg.errors import ParameterError
-from featreg.geometry import decompose, spread
+from featreg.geometry import decompose, inverse_variances, spread
 from featreg.interfaces import FailedFit, Model
 from featreg.pipeline.trust_measures import (
     apart,
@@ -31,6 +31,9 @@ from featreg.pipeline.trust_measures import (
 from featreg.runtime.parameters import checked
 from featreg.types import BoolArray, FloatArray, Gate, Matches, verdict
 
+#: Most tie points by which the halves are judged.
+MOST_CHECKS = 1000
+
 
 @checked("trust")
 @dataclass(frozen=True)
@@ -42,7 +45,8 @@ class Limits:
     least_inliers : distinct tie points
     least_spread : share of the cells of an 8 x 8 grid over the reference that hold an inlier
     significance : log10 of the expected number of equally good models among chance matches, at most
-    held_out_px : median residual of tie points that were left out of the fit, at most
+    held_out_px : median residual of the tie points of each half of the regions from the model of the other, at most;
+        before the last fit chose among them
     scale : the model's scale lies between 1 / scale and scale
     uncertainty_px : root mean square over the image of the model's own standard error, at most
     stability_px : root mean square over the image of the model's jackknife error, regions of tie points left out, at
@@ -92,6 +96,7 @@ class Evidence:
     model : the final model
     reference_shape, secondary_shape : (H, W); of the secondary, the area over which a wrong match may lie
     initial, search_radius : a model known beforehand, if any, and how far from it in pixels the result may lie
+    measured : what a refinement measured, also what its fit left out; None without one
     """
 
     matches: Matches
@@ -103,6 +108,7 @@ class Evidence:
     secondary_shape: tuple[int, int]
     initial: Model | None = None
     search_radius: float | None = None
+    measured: Matches | None = None
 
     @cached_property
     def here(self) -> FloatArray:
@@ -113,6 +119,18 @@ class Evidence:
     def there(self) -> FloatArray:
         """(K, 2) final tie points in the secondary."""
         return self.matches.secondary_xy[self.inliers]
+
+    @cached_property
+    def checks(self) -> Matches:
+        """Tie points as they were before the last fit chose among them, at most 1000, evenly taken."""
+        before = self.matches.take(np.flatnonzero(self.supported)) if self.measured is None else self.measured
+        return before.take(np.arange(0, len(before), max(1, -(-len(before) // MOST_CHECKS))))
+
+    @cached_property
+    def weights(self) -> FloatArray | None:
+        """(K,) inverse variances of the final tie points; None where none is known."""
+        covariance = self.matches.covariance
+        return None if covariance is None else inverse_variances(covariance[self.inliers])
 
 
 class Condition(NamedTuple):
@@ -154,14 +172,14 @@ CONDITIONS = (
     ),
     Condition(
         "held_out",
-        "median residual of points left out, px",
-        lambda e, model: held_out(type(model), e.here, e.there),
+        "median residual of the tie points of each half of the regions from the model of the other, px",
+        lambda e, model: held_out(type(model), e.checks.reference_xy, e.checks.secondary_xy),
         lambda limits, e: (None, limits.held_out_px),
     ),
     Condition(
         "uncertainty",
         "standard error of the model over the image, px",
-        lambda e, model: model_uncertainty(model, e.here, e.there, e.reference_shape),
+        lambda e, model: model_uncertainty(model, e.here, e.there, e.reference_shape, e.weights),
         lambda limits, e: (None, limits.uncertainty_px),
     ),
     Condition(

@@ -11,14 +11,13 @@ from featreg.geometry import (
     Affine,
     dilution,
     local_linear,
-    prediction_covariance,
-    refitted_covariance,
+    prediction,
     regional_covariance,
 )
 from featreg.geometry.cells import cells
 from featreg.geometry.robust import irls
 from featreg.interfaces import FailedFit, Model
-from featreg.types import BoolArray, FloatArray, Matches
+from featreg.types import BoolArray, FloatArray, IntArray, Matches
 
 # Side in px of the cells in which tie points are counted once.
 DISTINCT_PX = 6.0
@@ -26,6 +25,8 @@ DISTINCT_PX = 6.0
 REGIONS = 4
 # Tie points this near to a model tell how it is distorted; their errors in px are not told apart below the second.
 NEAR_PX, AFFINE_SCALE_PX = 8.0, 0.6
+# The robust fits to halves of the tie points: errors in px below this are not told apart; their rounds.
+SCALE_PX, HELD_OUT_ROUNDS = 0.3, 3
 
 
 def distinct(reference_xy: FloatArray, secondary_xy: FloatArray) -> int:
@@ -81,17 +82,19 @@ def _log10_choose(n: int, k: int) -> float:
 
 
 def model_uncertainty(
-    model: Model, reference_xy: FloatArray, secondary_xy: FloatArray, shape: tuple[int, int]
+    model: Model,
+    reference_xy: FloatArray,
+    secondary_xy: FloatArray,
+    shape: tuple[int, int],
+    weights: FloatArray | None = None,
 ) -> float:
     """Root mean square standard error in pixels of where a model maps a 5 x 5 grid over an image of (H, W).
 
-    Large where the tie points are few, or huddle in one part of the image. NaN where it cannot be told.
+    Large where the tie points are few, huddle in one part of the image, or have errors in common with their neighbours.
+    NaN where it cannot be told.
     """
-    try:
-        covariance = prediction_covariance(model, reference_xy, secondary_xy, at=_grid(shape))
-    except InputError:
-        covariance = refitted_covariance(model, reference_xy, secondary_xy, at=_grid(shape))
-    return _overall(covariance)
+    known = prediction(model, reference_xy, secondary_xy, weights, at=_grid(shape))
+    return _overall(known if isinstance(known, FailedFit) else known.covariance)
 
 
 def _grid(shape: tuple[int, int]) -> FloatArray:
@@ -111,9 +114,7 @@ def instability(
     """
     if not len(reference_xy):
         return math.nan
-    low, high = reference_xy.min(axis=0), reference_xy.max(axis=0)
-    place = ((reference_xy - low) / np.maximum(high - low, 1e-9) * REGIONS).astype(np.int64)
-    region = np.minimum(place, REGIONS - 1) @ np.array([1, REGIONS])
+    region = _regions(reference_xy)
     try:
         covariance = regional_covariance(model, reference_xy, secondary_xy, region, at=_grid(shape))
     except InputError:
@@ -168,12 +169,28 @@ def _overall(covariance: FloatArray | FailedFit) -> float:
 
 
 def held_out(kind: type[Model], reference_xy: FloatArray, secondary_xy: FloatArray) -> float:
-    """Median residual in pixels of each half of the tie points from the model of the other half; NaN if none fits."""
-    half = np.arange(len(reference_xy)) % 2 == 0
+    """Median residual in pixels of each half of the tie points from the model of the other; NaN if none fits.
+
+    The halves are the two colours of a chessboard of 4 x 4 regions over the bounding box, so that neighbours, which
+    share errors, do not vouch for each other. Models are fitted as those of the result are, robustly.
+    """
+    region = _regions(reference_xy)
+    half = (region // REGIONS + region % REGIONS) % 2 == 0
+    if not half.any() or half.all():
+        return math.nan
     residuals = []
     for fitted in (half, ~half):
-        model = kind.from_estimate(reference_xy[fitted], secondary_xy[fitted])
+        model, _ = irls(kind, reference_xy[fitted], secondary_xy[fitted], scale_px=SCALE_PX, iterations=HELD_OUT_ROUNDS)
         if isinstance(model, FailedFit):
             return math.nan
         residuals.append(model.residuals(reference_xy[~fitted], secondary_xy[~fitted]))
     return float(np.median(np.concatenate(residuals)))
+
+
+def _regions(xy: FloatArray) -> IntArray:
+    """(M,) number of the region, of 4 x 4 over their bounding box, in which each of (M, 2) points lies."""
+    if not len(xy):
+        return np.zeros(0, np.int64)
+    low, high = xy.min(axis=0), xy.max(axis=0)
+    place = ((xy - low) / np.maximum(high - low, 1e-9) * REGIONS).astype(np.int64)
+    return np.asarray(np.minimum(place, REGIONS - 1) @ np.array([1, REGIONS]))
