@@ -106,9 +106,9 @@ def rigid_standard_errors(
     -----
     `correlated_covariance` counts what neighbours share, over whatever distance. Selection by residuals makes those of
     the rest too small and the fit too sure: with Gaussian errors of standard deviation sigma cut off at length c and
-    u = c^2 / (2 sigma^2) the mean square of what is left is ``2 sigma^2 (1 - (1 + u) exp(-u)) / (1 - exp(-u))`` = 2 m, and the variance of
-    an estimate that rests on them is (sigma^2 / m)^2 times the one they show (that of an M-estimate with hard
-    rejection). sigma is solved for.
+    u = c^2 / (2 sigma^2) the mean square of what is left is
+    ``2 sigma^2 (1 - (1 + u) exp(-u)) / (1 - exp(-u))`` = 2 m, and the variance of an estimate that rests on them is
+    (sigma^2 / m)^2 times the one they show (that of an M-estimate with hard rejection). sigma is solved for.
     """
     centre = np.asarray(at, np.float64)
     places = len(np.unique(cells(reference_xy)))

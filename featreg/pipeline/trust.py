@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from featreg.errors import ParameterError
-from featreg.geometry import decompose, inverse_variances, spread
+from featreg.geometry import Predicted, decompose, inverse_variances, spread
 from featreg.interfaces import FailedFit, Model
 from featreg.pipeline.trust_measures import (
     apart,
@@ -27,6 +27,7 @@ from featreg.pipeline.trust_measures import (
     instability,
     log10_chance,
     model_uncertainty,
+    predicted,
 )
 from featreg.runtime.parameters import checked
 from featreg.types import BoolArray, FloatArray, Gate, Matches, verdict
@@ -132,6 +133,19 @@ class Evidence:
         covariance = self.matches.covariance
         return None if covariance is None else inverse_variances(covariance[self.inliers])
 
+    @cached_property
+    def predicted(self) -> Predicted | FailedFit:
+        """What is known of where the model maps a grid over the reference."""
+        if isinstance(self.model, FailedFit):
+            return self.model
+        return predicted(self.model, self.here, self.there, self.reference_shape, self.weights)
+
+    @property
+    def correlation_px(self) -> float:
+        """Length in px over which the errors of tie points are alike; 0 where it is not known."""
+        known = self.predicted
+        return 0.0 if isinstance(known, FailedFit) or math.isnan(known.length) else known.length
+
 
 class Condition(NamedTuple):
     """One gate of every registration.
@@ -179,13 +193,13 @@ CONDITIONS = (
     Condition(
         "uncertainty",
         "standard error of the model over the image, px",
-        lambda e, model: model_uncertainty(model, e.here, e.there, e.reference_shape, e.weights),
+        lambda e, model: model_uncertainty(e.predicted),
         lambda limits, e: (None, limits.uncertainty_px),
     ),
     Condition(
         "stability",
         "error of the model over the image by leaving out regions of tie points, px",
-        lambda e, model: instability(model, e.here, e.there, e.reference_shape),
+        lambda e, model: instability(model, e.here, e.there, e.reference_shape, e.correlation_px),
         lambda limits, e: (None, limits.stability_px),
     ),
     Condition(

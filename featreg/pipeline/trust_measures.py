@@ -9,6 +9,7 @@ import numpy as np
 from featreg.errors import InputError
 from featreg.geometry import (
     Affine,
+    Predicted,
     dilution,
     local_linear,
     prediction,
@@ -81,19 +82,23 @@ def _log10_choose(n: int, k: int) -> float:
     return (math.lgamma(n + 1) - math.lgamma(k + 1) - math.lgamma(n - k + 1)) / math.log(10)
 
 
-def model_uncertainty(
+def predicted(
     model: Model,
     reference_xy: FloatArray,
     secondary_xy: FloatArray,
     shape: tuple[int, int],
     weights: FloatArray | None = None,
-) -> float:
-    """Root mean square standard error in pixels of where a model maps a 5 x 5 grid over an image of (H, W).
+) -> Predicted | FailedFit:
+    """`featreg.geometry.prediction` over a 5 x 5 grid of an image of (H, W)."""
+    return prediction(model, reference_xy, secondary_xy, weights, at=_grid(shape))
+
+
+def model_uncertainty(known: Predicted | FailedFit) -> float:
+    """Root mean square standard error in pixels of where a model maps the points at which it is `known`.
 
     Large where the tie points are few, huddle in one part of the image, or have errors in common with their neighbours.
     NaN where it cannot be told.
     """
-    known = prediction(model, reference_xy, secondary_xy, weights, at=_grid(shape))
     return _overall(known if isinstance(known, FailedFit) else known.covariance)
 
 
@@ -104,17 +109,18 @@ def _grid(shape: tuple[int, int]) -> FloatArray:
 
 
 def instability(
-    model: Model, reference_xy: FloatArray, secondary_xy: FloatArray, shape: tuple[int, int]
+    model: Model, reference_xy: FloatArray, secondary_xy: FloatArray, shape: tuple[int, int], length: float = 0.0
 ) -> float | None:
     """Root mean square error in pixels of where a model maps a 5 x 5 grid over an image, by leaving out regions.
 
-    Each of 4 x 4 regions of the tie points' bounding box is left out in turn. On real pairs the true error is 1.5 times
-    this value in the median, and 4 times `model_uncertainty`. NaN where it cannot be told; None for a model without
-    known derivatives (a residual field, one of another package), which may follow each region by itself.
+    Each of 4 x 4 regions of the tie points' bounding box is left out in turn, or of 3 x 3 where the errors of tie
+    points are correlated over a `length` in px of more than a quarter of it. NaN where it cannot be told; None for a
+    model without known derivatives (a residual field, one of another package), which may follow each region by itself.
     """
     if not len(reference_xy):
         return math.nan
-    region = _regions(reference_xy)
+    extent = float(np.ptp(reference_xy, axis=0).max())
+    region = _regions(reference_xy, REGIONS - 1 if length * REGIONS > extent else REGIONS)
     try:
         covariance = regional_covariance(model, reference_xy, secondary_xy, region, at=_grid(shape))
     except InputError:
@@ -187,10 +193,10 @@ def held_out(kind: type[Model], reference_xy: FloatArray, secondary_xy: FloatArr
     return float(np.median(np.concatenate(residuals)))
 
 
-def _regions(xy: FloatArray) -> IntArray:
-    """(M,) number of the region, of 4 x 4 over their bounding box, in which each of (M, 2) points lies."""
+def _regions(xy: FloatArray, along: int = REGIONS) -> IntArray:
+    """(M,) number of the region in which each of (M, 2) points lies, of so many along each side of their box."""
     if not len(xy):
         return np.zeros(0, np.int64)
     low, high = xy.min(axis=0), xy.max(axis=0)
-    place = ((xy - low) / np.maximum(high - low, 1e-9) * REGIONS).astype(np.int64)
-    return np.asarray(np.minimum(place, REGIONS - 1) @ np.array([1, REGIONS]))
+    place = ((xy - low) / np.maximum(high - low, 1e-9) * along).astype(np.int64)
+    return np.asarray(np.minimum(place, along - 1) @ np.array([1, along]))
