@@ -14,6 +14,7 @@ from featreg.geometry.base import GeometricModel, MatrixModel, decompose
 from featreg.geometry.cells import dilution, rigid_standard_errors, selection_cut, spread
 from featreg.geometry.convert import as_model, local_linear, model_from_dict, model_from_matrix, model_to_dict
 from featreg.geometry.corrected import CorrectedModel
+from featreg.geometry.correlated import Predicted, correlated_covariance, prediction
 from featreg.geometry.homography import Homography
 from featreg.geometry.matrix import Affine, Rigid, Similarity, Translation
 from featreg.geometry.polynomial import InverseModel, Polynomial2, Polynomial3
@@ -36,12 +37,14 @@ __all__ = [
     "MatrixModel",
     "Polynomial2",
     "Polynomial3",
+    "Predicted",
     "ResidualField",
     "Rigid",
     "RigidUncertainty",
     "Similarity",
     "Translation",
     "as_model",
+    "correlated_covariance",
     "decompose",
     "dilution",
     "inverse_variances",
@@ -49,6 +52,7 @@ __all__ = [
     "model_from_dict",
     "model_from_matrix",
     "model_to_dict",
+    "prediction",
     "prediction_covariance",
     "refitted_covariance",
     "regional_covariance",

@@ -7,8 +7,9 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
+from featreg.geometry.correlated import correlated_covariance
 from featreg.geometry.matrix import Rigid
-from featreg.geometry.uncertainty import RigidUncertainty, prediction_covariance, regional_covariance
+from featreg.geometry.uncertainty import RigidUncertainty, prediction_covariance
 from featreg.interfaces import FailedFit, Model
 from featreg.types import FloatArray, IntArray
 
@@ -20,6 +21,8 @@ SPREAD_CELLS = 8
 CUT_SHARE = 0.3
 #: Largest standard deviation that a selection tells of, over its limit.
 WIDEST = 2.0
+#: Fewest cells with tie points for which standard errors are stated.
+LEAST_PLACES = 3
 # Far beyond any image, px: there, an error of the shift is nothing beside one of the rotation.
 FAR = 1e7
 
@@ -96,29 +99,33 @@ def rigid_standard_errors(
 
     Returns
     -------
-    The standard errors, or a `FailedFit` where fewer than three cells hold tie points. `dof` is the number of cells
-    less one; intervals take Student's t of that many.
+    The standard errors, or a `FailedFit` where fewer than three cells of 96 px hold tie points; intervals take
+    Student's t of `dof`.
 
     Notes
     -----
-    The jackknife over cells counts what neighbours share. Selection by residuals makes those of the rest too small
-    and the fit too sure: with Gaussian errors of standard deviation sigma cut off at length c and u = c^2 / (2 sigma^2)
-    the mean square of what is left is ``2 sigma^2 (1 - (1 + u) exp(-u)) / (1 - exp(-u))`` = 2 m, and the variance of
-    an estimate that rests on them is (sigma^2 / m)^2 times the one they show (that of an M-estimate with hard
-    rejection). sigma is solved for.
+    `correlated_covariance` counts what neighbours share, over whatever distance. Selection by residuals makes those of
+    the rest too small and the fit too sure: with Gaussian errors of standard deviation sigma cut off at length c and
+    u = c^2 / (2 sigma^2) the mean square of what is left is
+    ``2 sigma^2 (1 - (1 + u) exp(-u)) / (1 - exp(-u))`` = 2 m, and the variance of an estimate that rests on them is
+    (sigma^2 / m)^2 times the one they show (that of an M-estimate with hard rejection). sigma is solved for.
     """
     centre = np.asarray(at, np.float64)
-    points = np.stack([centre, centre + np.array([FAR, 0.0])])
-    covariance = regional_covariance(model, reference_xy, secondary_xy, cells(reference_xy), weights, at=points)
-    if isinstance(covariance, FailedFit):
-        return covariance
+    places = len(np.unique(cells(reference_xy)))
+    if places < LEAST_PLACES:
+        return FailedFit(f"the tie points lie in {places} cells, {LEAST_PLACES} are needed")
+    shift = correlated_covariance(model, reference_xy, secondary_xy, weights, at=centre[None])
+    if isinstance(shift, FailedFit):
+        return shift
+    turn = correlated_covariance(model, reference_xy, secondary_xy, weights, at=centre[None] + [FAR, 0.0])
+    if isinstance(turn, FailedFit):
+        return turn
     squares = model.residuals(reference_xy, secondary_xy) ** 2
     shown = float(squares.sum()) / max(2 * len(squares) - 3, 1)
     wider = _variance_before_selection(shown, cut) / shown if shown > 0 else 1.0
-    sx, sy = (wider * math.sqrt(value) for value in np.diag(covariance[0]).tolist())
-    rotation = wider * math.sqrt(float(np.trace(covariance[1]))) / FAR
-    dof = len(np.unique(cells(reference_xy))) - 1
-    return RigidUncertainty(math.degrees(rotation), (sx, sy), math.sqrt(wider * shown), dof)
+    sx, sy = (wider * math.sqrt(value) for value in np.diag(shift.covariance[0]).tolist())
+    rotation = wider * math.sqrt(float(np.trace(turn.covariance[0]))) / FAR
+    return RigidUncertainty(math.degrees(rotation), (sx, sy), math.sqrt(wider * shown), round(shift.dof))
 
 
 def selection_cut(kept: FloatArray, others: FloatArray) -> float:

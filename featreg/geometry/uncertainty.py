@@ -128,7 +128,7 @@ def prediction_covariance(
         return n
     reference = n.reference * n.reference_scale + n.reference_centre
     secondary = n.secondary * n.secondary_scale + n.secondary_centre
-    design = _derivatives(model, reference, n)
+    design = derivatives(model, reference, n)
     m, _, count = design.shape
     dof = 2 * m - count
     if dof < 1:
@@ -144,7 +144,7 @@ def prediction_covariance(
     diagonal = np.abs(np.diag(triangle))
     if diagonal.min() <= 1e-12 * diagonal.max():
         return FailedFit(f"the {m} points do not determine the {count} parameters")
-    there = _derivatives(model, points.reshape(-1, 2), n)
+    there = derivatives(model, points.reshape(-1, 2), n)
     root = np.linalg.solve(triangle.T, there.reshape(-1, count).T).T.reshape(there.shape)
     return np.asarray(variance * root @ root.transpose(0, 2, 1)).reshape(*points.shape[:-1], 2, 2)
 
@@ -200,7 +200,7 @@ def regional_covariance(
     numbers, group = np.unique(region, return_inverse=True)
     if len(numbers) < 3:
         return FailedFit(f"the points lie in {len(numbers)} regions, 3 are needed")
-    design = _derivatives(model, reference_xy, n)
+    design = derivatives(model, reference_xy, n)
     error = secondary_xy - model(reference_xy)
     if weights is not None:
         root = np.sqrt(weights / weights.mean())
@@ -216,7 +216,7 @@ def regional_covariance(
     if np.linalg.cond(rest).max() > 1e12:
         return FailedFit("the points outside one region do not determine the model")
     step = np.linalg.solve(rest, (moment.sum(axis=0) - moment)[:, :, None])[:, :, 0]
-    there = _derivatives(model, points, n)
+    there = derivatives(model, points, n)
     departure = np.einsum("nap,kp->nak", there, step - step.mean(axis=0))
     share = (len(numbers) - 1) / len(numbers)
     return np.asarray(share * departure @ departure.transpose(0, 2, 1))
@@ -270,7 +270,7 @@ def inverse_variances(covariance: FloatArray | None) -> FloatArray | None:
     return np.asarray(1 / (np.where(known, variance, np.median(variance[known])) + FINEST_PX**2))
 
 
-def _derivatives(model: Model, xy: FloatArray, n: Normalised) -> FloatArray:
+def derivatives(model: Model, xy: FloatArray, n: Normalised) -> FloatArray:
     """(N, 2, P) derivatives of the mapped points by parameters that span the model's freedom, in units of the fit."""
     unit = (xy - n.reference_centre) / n.reference_scale
     mapped = (model(xy) - n.secondary_centre) / n.secondary_scale

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
@@ -38,12 +38,14 @@ class Refined:
     model : fitted to them, or why not
     candidates : how many points were looked at
     correlated : how many of these had a sound correlation peak
+    measured : those with a sound peak, also what the fit left out; by them the fit is judged
     """
 
     matches: Matches
     model: Model | FailedFit
     candidates: int
     correlated: int
+    measured: Matches = field(default_factory=Matches.empty)
 
 
 @checked("refine")
@@ -113,6 +115,8 @@ class Refine:
         if isinstance(final, FailedFit):
             return none
         here_xy = seeds.astype(np.float64)
+        peaked = fine.sound & (fine.height >= self.min_correlation)
+        measured = Matches(here_xy[peaked], there_xy[peaked], fine.height[peaked])
         correlated = int(keep.sum())
         keep &= final.residuals(here_xy, there_xy) <= self.max_residual
         here_xy, there_xy = here_xy[keep], there_xy[keep]
@@ -120,7 +124,7 @@ class Refine:
         covariance = np.maximum(1 - height**2, 1e-6)[:, None, None] * np.linalg.inv(curvature)
         covariance *= _variance_factor(there_xy - final(here_xy), covariance)
         refined = Matches(here_xy, there_xy, height, covariance, origin[keep])
-        return Refined(refined, final, len(seeds), correlated)
+        return Refined(refined, final, len(seeds), correlated, measured)
 
     def _measure(self, first: F32, second: F32, at: IntArray, half: int, search: int) -> Peaks:
         height, width = first.shape

@@ -38,6 +38,7 @@ class Draft:
     putative : (M,) rows of the matcher
     inliers : (M,) rows on which the model was fitted
     model : the best fit so far
+    measured : what a refinement measured, also what its fit left out; None without one
     """
 
     matches: Matches
@@ -46,6 +47,7 @@ class Draft:
     putative: BoolArray
     inliers: BoolArray
     model: Model | FailedFit
+    measured: Matches | None = None
 
     def without_model(self, more: str) -> Draft:
         """The same draft, whose failure to fit a model, if it failed, says `more` of what was there to begin with."""
@@ -147,6 +149,7 @@ def refined(draft: Draft, found: Refined | None, least: int = 0) -> Draft:
         putative,
         np.concatenate([before, added]),
         found.model,
+        found.measured,
     )
 
 
@@ -182,6 +185,7 @@ def judged(
             initial=initial,
             search_radius=search_radius,
             stated=stated,
+            measured=draft.measured,
         )
         return assess(evidence, limits, further)
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from featreg.errors import ParameterError
-from featreg.geometry import decompose, spread
+from featreg.geometry import Predicted, decompose, inverse_variances, spread
 from featreg.interfaces import FailedFit, Model
 from featreg.pipeline.trust_measures import (
     apart,
@@ -27,9 +27,13 @@ from featreg.pipeline.trust_measures import (
     instability,
     log10_chance,
     model_uncertainty,
+    predicted,
 )
 from featreg.runtime.parameters import checked
 from featreg.types import BoolArray, FloatArray, Gate, Matches, verdict
+
+#: Most tie points by which the halves are judged.
+MOST_CHECKS = 1000
 
 
 @checked("trust")
@@ -42,7 +46,8 @@ class Limits:
     least_inliers : distinct tie points
     least_spread : share of the cells of an 8 x 8 grid over the reference that hold an inlier
     significance : log10 of the expected number of equally good models among chance matches, at most
-    held_out_px : median residual of tie points that were left out of the fit, at most
+    held_out_px : median residual of the tie points of each half of the regions from the model of the other, at most;
+        before the last fit chose among them
     scale : the model's scale lies between 1 / scale and scale
     uncertainty_px : root mean square over the image of the model's own standard error, at most
     stability_px : root mean square over the image of the model's jackknife error, regions of tie points left out, at
@@ -93,6 +98,7 @@ class Evidence:
     reference_shape, secondary_shape : (H, W); of the secondary, the area over which a wrong match may lie
     initial, search_radius : a model known beforehand, if any, and how far from it in pixels the result may lie
     stated : (2, 2) linear part that the geography of both images states, if it states one; what is left is judged
+    measured : what a refinement measured, also what its fit left out; None without one
     """
 
     matches: Matches
@@ -105,6 +111,7 @@ class Evidence:
     initial: Model | None = None
     search_radius: float | None = None
     stated: FloatArray | None = None
+    measured: Matches | None = None
 
     def left(self, model: Model) -> FloatArray:
         """(2, 2) linear part of a model at the reference's centre, beside what geography states."""
@@ -120,6 +127,31 @@ class Evidence:
     def there(self) -> FloatArray:
         """(K, 2) final tie points in the secondary."""
         return self.matches.secondary_xy[self.inliers]
+
+    @cached_property
+    def checks(self) -> Matches:
+        """Tie points as they were before the last fit chose among them, at most 1000, evenly taken."""
+        before = self.matches.take(np.flatnonzero(self.supported)) if self.measured is None else self.measured
+        return before.take(np.arange(0, len(before), max(1, -(-len(before) // MOST_CHECKS))))
+
+    @cached_property
+    def weights(self) -> FloatArray | None:
+        """(K,) inverse variances of the final tie points; None where none is known."""
+        covariance = self.matches.covariance
+        return None if covariance is None else inverse_variances(covariance[self.inliers])
+
+    @cached_property
+    def predicted(self) -> Predicted | FailedFit:
+        """What is known of where the model maps a grid over the reference."""
+        if isinstance(self.model, FailedFit):
+            return self.model
+        return predicted(self.model, self.here, self.there, self.reference_shape, self.weights)
+
+    @property
+    def correlation_px(self) -> float:
+        """Length in px over which the errors of tie points are alike; 0 where it is not known."""
+        known = self.predicted
+        return 0.0 if isinstance(known, FailedFit) or math.isnan(known.length) else known.length
 
 
 class Condition(NamedTuple):
@@ -161,20 +193,20 @@ CONDITIONS = (
     ),
     Condition(
         "held_out",
-        "median residual of points left out, px",
-        lambda e, model: held_out(type(model), e.here, e.there),
+        "median residual of the tie points of each half of the regions from the model of the other, px",
+        lambda e, model: held_out(type(model), e.checks.reference_xy, e.checks.secondary_xy),
         lambda limits, e: (None, limits.held_out_px),
     ),
     Condition(
         "uncertainty",
         "standard error of the model over the image, px",
-        lambda e, model: model_uncertainty(model, e.here, e.there, e.reference_shape),
+        lambda e, model: model_uncertainty(e.predicted),
         lambda limits, e: (None, limits.uncertainty_px),
     ),
     Condition(
         "stability",
         "error of the model over the image by leaving out regions of tie points, px",
-        lambda e, model: instability(model, e.here, e.there, e.reference_shape),
+        lambda e, model: instability(model, e.here, e.there, e.reference_shape, e.correlation_px),
         lambda limits, e: (None, limits.stability_px),
     ),
     Condition(

@@ -9,16 +9,16 @@ import numpy as np
 from featreg.errors import InputError
 from featreg.geometry import (
     Affine,
+    Predicted,
     dilution,
     local_linear,
-    prediction_covariance,
-    refitted_covariance,
+    prediction,
     regional_covariance,
 )
 from featreg.geometry.cells import cells
 from featreg.geometry.robust import irls
 from featreg.interfaces import FailedFit, Model
-from featreg.types import BoolArray, FloatArray, Matches
+from featreg.types import BoolArray, FloatArray, IntArray, Matches
 
 # Side in px of the cells in which tie points are counted once.
 DISTINCT_PX = 6.0
@@ -26,6 +26,8 @@ DISTINCT_PX = 6.0
 REGIONS = 4
 # Tie points this near to a model tell how it is distorted; their errors in px are not told apart below the second.
 NEAR_PX, AFFINE_SCALE_PX = 8.0, 0.6
+# The robust fits to halves of the tie points: errors in px below this are not told apart; their rounds.
+SCALE_PX, HELD_OUT_ROUNDS = 0.3, 3
 
 
 def distinct(reference_xy: FloatArray, secondary_xy: FloatArray) -> int:
@@ -80,18 +82,24 @@ def _log10_choose(n: int, k: int) -> float:
     return (math.lgamma(n + 1) - math.lgamma(k + 1) - math.lgamma(n - k + 1)) / math.log(10)
 
 
-def model_uncertainty(
-    model: Model, reference_xy: FloatArray, secondary_xy: FloatArray, shape: tuple[int, int]
-) -> float:
-    """Root mean square standard error in pixels of where a model maps a 5 x 5 grid over an image of (H, W).
+def predicted(
+    model: Model,
+    reference_xy: FloatArray,
+    secondary_xy: FloatArray,
+    shape: tuple[int, int],
+    weights: FloatArray | None = None,
+) -> Predicted | FailedFit:
+    """`featreg.geometry.prediction` over a 5 x 5 grid of an image of (H, W)."""
+    return prediction(model, reference_xy, secondary_xy, weights, at=_grid(shape))
 
-    Large where the tie points are few, or huddle in one part of the image. NaN where it cannot be told.
+
+def model_uncertainty(known: Predicted | FailedFit) -> float:
+    """Root mean square standard error in pixels of where a model maps the points at which it is `known`.
+
+    Large where the tie points are few, huddle in one part of the image, or have errors in common with their neighbours.
+    NaN where it cannot be told.
     """
-    try:
-        covariance = prediction_covariance(model, reference_xy, secondary_xy, at=_grid(shape))
-    except InputError:
-        covariance = refitted_covariance(model, reference_xy, secondary_xy, at=_grid(shape))
-    return _overall(covariance)
+    return _overall(known if isinstance(known, FailedFit) else known.covariance)
 
 
 def _grid(shape: tuple[int, int]) -> FloatArray:
@@ -101,19 +109,18 @@ def _grid(shape: tuple[int, int]) -> FloatArray:
 
 
 def instability(
-    model: Model, reference_xy: FloatArray, secondary_xy: FloatArray, shape: tuple[int, int]
+    model: Model, reference_xy: FloatArray, secondary_xy: FloatArray, shape: tuple[int, int], length: float = 0.0
 ) -> float | None:
     """Root mean square error in pixels of where a model maps a 5 x 5 grid over an image, by leaving out regions.
 
-    Each of 4 x 4 regions of the tie points' bounding box is left out in turn. On real pairs the true error is 1.5 times
-    this value in the median, and 4 times `model_uncertainty`. NaN where it cannot be told; None for a model without
-    known derivatives (a residual field, one of another package), which may follow each region by itself.
+    Each of 4 x 4 regions of the tie points' bounding box is left out in turn, or of 3 x 3 where the errors of tie
+    points are correlated over a `length` in px of more than a quarter of it. NaN where it cannot be told; None for a
+    model without known derivatives (a residual field, one of another package), which may follow each region by itself.
     """
     if not len(reference_xy):
         return math.nan
-    low, high = reference_xy.min(axis=0), reference_xy.max(axis=0)
-    place = ((reference_xy - low) / np.maximum(high - low, 1e-9) * REGIONS).astype(np.int64)
-    region = np.minimum(place, REGIONS - 1) @ np.array([1, REGIONS])
+    extent = float(np.ptp(reference_xy, axis=0).max())
+    region = _regions(reference_xy, REGIONS - 1 if length * REGIONS > extent else REGIONS)
     try:
         covariance = regional_covariance(model, reference_xy, secondary_xy, region, at=_grid(shape))
     except InputError:
@@ -168,12 +175,28 @@ def _overall(covariance: FloatArray | FailedFit) -> float:
 
 
 def held_out(kind: type[Model], reference_xy: FloatArray, secondary_xy: FloatArray) -> float:
-    """Median residual in pixels of each half of the tie points from the model of the other half; NaN if none fits."""
-    half = np.arange(len(reference_xy)) % 2 == 0
+    """Median residual in pixels of each half of the tie points from the model of the other; NaN if none fits.
+
+    The halves are the two colours of a chessboard of 4 x 4 regions over the bounding box, so that neighbours, which
+    share errors, do not vouch for each other. Models are fitted as those of the result are, robustly.
+    """
+    region = _regions(reference_xy)
+    half = (region // REGIONS + region % REGIONS) % 2 == 0
+    if not half.any() or half.all():
+        return math.nan
     residuals = []
     for fitted in (half, ~half):
-        model = kind.from_estimate(reference_xy[fitted], secondary_xy[fitted])
+        model, _ = irls(kind, reference_xy[fitted], secondary_xy[fitted], scale_px=SCALE_PX, iterations=HELD_OUT_ROUNDS)
         if isinstance(model, FailedFit):
             return math.nan
         residuals.append(model.residuals(reference_xy[~fitted], secondary_xy[~fitted]))
     return float(np.median(np.concatenate(residuals)))
+
+
+def _regions(xy: FloatArray, along: int = REGIONS) -> IntArray:
+    """(M,) number of the region in which each of (M, 2) points lies, of so many along each side of their box."""
+    if not len(xy):
+        return np.zeros(0, np.int64)
+    low, high = xy.min(axis=0), xy.max(axis=0)
+    place = ((xy - low) / np.maximum(high - low, 1e-9) * along).astype(np.int64)
+    return np.asarray(np.minimum(place, along - 1) @ np.array([1, along]))

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from featreg.errors import InputError
-from featreg.geometry import prediction_covariance, refitted_covariance
+from featreg.geometry import inverse_variances, prediction
 from featreg.geometry.robust import irls
 from featreg.interfaces import FailedFit, Model
 from featreg.pipeline.refine import ROUNDS, Refined
@@ -122,7 +122,7 @@ def fit_refined(merged: Merged, first: Model, max_residual: float) -> tuple[Refi
     keep = (used > 0) & (model.residuals(some.reference_xy, some.secondary_xy) <= max_residual)
     kept = np.flatnonzero(keep)
     return (
-        Refined(some.take(kept), model, merged.candidates, len(merged.refined)),
+        Refined(some.take(kept), model, merged.candidates, len(merged.refined), merged.refined),
         merged.refined_blocks[rows[kept]],
     )
 
@@ -245,10 +245,8 @@ def accuracy(
     centre = np.array([(shape[1] - 1) / 2, (shape[0] - 1) / 2])
     corners = np.array([[0, 0], [shape[1] - 1, 0], [0, shape[0] - 1], [shape[1] - 1, shape[0] - 1]], np.float64)
     at = np.concatenate([centre[None], corners])
-    try:
-        known = prediction_covariance(model, matches.reference_xy, matches.secondary_xy, at=at)
-    except InputError:
-        known = refitted_covariance(model, matches.reference_xy, matches.secondary_xy, at=at)
+    weights = inverse_variances(matches.covariance)
+    known = prediction(model, matches.reference_xy, matches.secondary_xy, weights, at=at)
     report: dict[str, Any] = {
         "tie_points": len(matches),
         "rmse_px": float(np.sqrt(np.mean(residuals**2))),
@@ -256,8 +254,10 @@ def accuracy(
         "percentile95_px": float(np.percentile(residuals, 95)),
     }
     if not isinstance(known, FailedFit):
-        report["covariance_centre_px2"] = known[0].tolist()
-        report["standard_error_corners_px"] = np.sqrt(np.trace(known[1:], axis1=1, axis2=2)).tolist()
+        report["covariance_centre_px2"] = known.covariance[0].tolist()
+        if math.isfinite(known.length):
+            report["correlation_length_px"] = known.length
+        report["standard_error_corners_px"] = np.sqrt(np.trace(known.covariance[1:], axis1=1, axis2=2)).tolist()
     known_blocks = errors[np.isfinite(errors)]
     if len(known_blocks):
         worst = int(np.nanargmax(errors))

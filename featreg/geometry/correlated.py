@@ -1,0 +1,226 @@
+"""How well tie points determine a model where their errors are correlated over a length that is not known."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from featreg.errors import InputError
+from featreg.geometry.base import normalise
+from featreg.geometry.corrected import CorrectedModel
+from featreg.geometry.uncertainty import GROUPS, derivatives, refitted_covariance
+from featreg.interfaces import FailedFit, Model
+from featreg.types import FloatArray
+
+#: Cells along the longer side of the tie points' bounding box.
+CELLS = 6
+#: Correlation lengths that are weighed against each other, over the longer side of the tie points' bounding box, and
+#: the variance that neighbours share over that which they do not.
+LENGTHS = (0.03, 0.06, 0.1, 0.16, 0.26, 0.5)
+SHARED = (0.5, 3.0, 20.0)
+# exp(-d) as a sum of Gaussian functions of d: their shares and standard deviations.
+EXPONENTIAL = ((0.175, 0.12), (0.3, 0.4), (0.36, 0.95), (0.165, 2.0))
+GAUSSIAN = ((1.0, 1.0),)
+Z95 = 1.959964
+
+
+@dataclass(frozen=True, eq=False)
+class Predicted:
+    """What is known of where a model maps points.
+
+    Parameters
+    ----------
+    covariance : (N, 2, 2) float64 px^2
+    dof : degrees of freedom of the covariance; intervals take Student's t of that many
+    length : correlation length of the tie points' errors, px; 0 where they are independent
+    sigma : standard deviation of one secondary coordinate of weight 1, px
+    """
+
+    covariance: FloatArray
+    dof: float
+    length: float
+    sigma: float
+
+
+def correlated_covariance(
+    model: Model,
+    reference_xy: FloatArray,
+    secondary_xy: FloatArray,
+    weights: FloatArray | None = None,
+    *,
+    at: ArrayLike,
+) -> Predicted | FailedFit:
+    """Return the covariance of where a fitted model maps points; the errors of near tie points may be alike.
+
+    Parameters
+    ----------
+    model : the least-squares model of these tie points
+    reference_xy, secondary_xy : (M, 2) float64 px
+    weights : (M,) > 0, relative inverse variances, as in the fit; None for equal ones
+    at : (N, 2) reference points
+
+    Returns
+    -------
+    The covariance, or a `FailedFit` where the tie points leave no degree of freedom
+
+    Raises
+    ------
+    InputError
+        A model without known derivatives.
+
+    Notes
+    -----
+    Windows that overlap, a structure that both dates show differently, relief and motion give neighbours a common
+    error. The errors are taken as a sum of an independent part and of one whose correlation falls with the distance,
+    as a Gaussian or an exponential function. A fit follows long waves of it, so that its residuals show less than
+    there is: the likelihood of each length and share is the restricted one, of what no model of the kind can follow.
+    The covariance of the fit, (X^T W X)^-1 X^T W C W X (X^T W X)^-1, is averaged over all candidates C by their
+    likelihood, and the spread of the candidates lowers the degrees of freedom. Tie points are gathered in 6 cells along
+    the longer side of their bounding box, with the variance of their places in each.
+
+    References
+    ----------
+    H. D. Patterson, R. Thompson, "Recovery of inter-block information when block sizes are unequal", Biometrika 58
+    (1971) 545, DOI 10.1093/biomet/58.3.545
+    """
+    points = np.asarray(at, np.float64)
+    if isinstance(model, CorrectedModel):
+        mapped, there = model.known(reference_xy), model.known(points)
+        if not (np.isfinite(mapped).all() and np.isfinite(there).all()):
+            return FailedFit("the known map does not reach all points")
+        return correlated_covariance(model.correction, mapped, secondary_xy, weights, at=there)
+    n = normalise(reference_xy, secondary_xy, weights, model.minimum, spread=False)
+    if isinstance(n, FailedFit):
+        return n
+    here = n.reference * n.reference_scale + n.reference_centre
+    error = n.secondary * n.secondary_scale + n.secondary_centre - model(here)
+    place, variance, weight, number, mean, design = _gathered(here, error, derivatives(model, here, n), n.weights)
+    count = design.shape[2]
+    dof = 2 * len(place) - count
+    if dof < 1:
+        return FailedFit(f"tie points in {len(place)} places leave no degree of freedom beside {count} parameters")
+    normal = np.einsum("c,cap,caq->pq", weight, design, design)
+    if not np.linalg.cond(normal) < 1e14:
+        return FailedFit(f"the tie points do not determine the {count} parameters")
+    side = float(np.ptp(here, axis=0).max())
+    lengths, parts, candidates = _candidates(place, variance, number, side)
+    # Everything whitened by the root of each candidate: (K, C, 2, P + 1).
+    both = np.concatenate([design, mean[:, :, None]], axis=2)
+    root = np.linalg.cholesky(candidates)
+    white = np.linalg.solve(root, both.reshape(1, len(place), -1)).reshape(len(root), -1, count + 1)
+    square = white.transpose(0, 2, 1) @ white
+    information, moment = square[:, :count, :count], square[:, :count, count]
+    fitted = np.linalg.solve(information, moment[:, :, None])[:, :, 0]
+    variances = np.maximum(square[:, count, count] - (fitted * moment).sum(axis=1), 0) / dof
+    if not variances.max() > 0:
+        return Predicted(np.zeros((len(points), 2, 2)), float(dof), 0.0, 0.0)
+    halves = 2 * 2 * np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1) + np.linalg.slogdet(information)[1]
+    likelihood = -0.5 * (halves + dof * np.log(np.maximum(variances, 1e-30 * variances.max())))
+    share = np.exp(likelihood - likelihood.max())
+    # As likely beforehand: no correlation, and all candidates with one together.
+    share[1:] /= len(share) - 1
+    share /= share.sum()
+    estimator = np.linalg.solve(normal, (design * weight[:, None, None]).transpose(2, 0, 1).reshape(count, -1))
+    # How much a shift of each cell along each axis moves each mapped point along each axis: (N, 2, 2, C).
+    weighing = (derivatives(model, points, n) @ estimator).reshape(len(points), 2, -1, 2).transpose(0, 1, 3, 2)
+    rows = weighing.reshape(len(points), 2, -1)
+    of_cells = np.tensordot(share * variances, candidates, 1)
+    covariance = (weighing @ of_cells).reshape(rows.shape) @ rows.transpose(0, 2, 1)
+    lines = weighing.reshape(-1, len(place))
+    each = variances * np.tensordot(candidates, lines.T @ lines, 2)
+    middle = float(share @ each)
+    widened = _interval(each / middle, share) if middle > 0 else 1.0
+    return Predicted(
+        np.asarray(covariance) * widened**2,
+        float(dof),
+        float(share @ lengths),
+        float(np.sqrt(share @ (variances * (1 + parts)))),
+    )
+
+
+def _interval(variances: FloatArray, share: FloatArray) -> float:
+    """Standard deviation of the normal error whose 95 % interval is that of the mixture of these variances."""
+    likely = share > 1e-5
+    deviation, share = np.sqrt(np.maximum(variances[likely], 1e-12)), share[likely] / share[likely].sum()
+    low, high = 0.0, float(deviation.max())
+    for _ in range(16):
+        middle = (low + high) / 2
+        outside = float(share @ [math.erfc(Z95 * middle / (d * math.sqrt(2))) for d in deviation.tolist()])
+        low, high = (middle, high) if outside > 0.05 else (low, middle)
+    return high
+
+
+def prediction(
+    model: Model,
+    reference_xy: FloatArray,
+    secondary_xy: FloatArray,
+    weights: FloatArray | None = None,
+    *,
+    at: ArrayLike,
+) -> Predicted | FailedFit:
+    """Return `correlated_covariance`; by `refitted_covariance` for a model without known derivatives."""
+    try:
+        return correlated_covariance(model, reference_xy, secondary_xy, weights, at=at)
+    except InputError:
+        known = refitted_covariance(model, reference_xy, secondary_xy, at=at)
+    if isinstance(known, FailedFit):
+        return known
+    squares = float((model.residuals(reference_xy, secondary_xy) ** 2).mean()) / 2
+    return Predicted(known, GROUPS - 1, math.nan, math.sqrt(squares))
+
+
+def _gathered(
+    xy: FloatArray, error: FloatArray, design: FloatArray, weights: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Gather tie points in cells.
+
+    Returns
+    -------
+    place, variance, weight, number, mean, design : (C, 2) px, (C,) px^2 along either axis of the places about it, (C,)
+        sum, (C,) of independent ones of equal weight, (C, 2) px mean error, (C, 2, P) mean derivatives
+    """
+    low = xy.min(axis=0)
+    side = max(float((xy.max(axis=0) - low).max()), 1e-9) / CELLS
+    column, row = np.minimum(((xy - low) / side).astype(np.int64), CELLS - 1).T
+    cell = row * CELLS + column
+    order = np.argsort(cell, kind="stable")
+    starts = np.flatnonzero(np.diff(cell[order], prepend=-1))
+    values = np.column_stack([xy, (xy**2).sum(axis=1), error, design.reshape(len(xy), -1)])[order]
+    w = weights[order]
+    total = np.add.reduceat(w, starts)
+    mean = np.add.reduceat(values * w[:, None], starts, axis=0) / total[:, None]
+    place = mean[:, :2]
+    variance = np.maximum(mean[:, 2] - (place**2).sum(axis=1), 0) / 2
+    number = total**2 / np.add.reduceat(w**2, starts)
+    return place, variance, total, number, mean[:, 3:5], mean[:, 5:].reshape(len(total), *design.shape[1:])
+
+
+def _candidates(
+    place: FloatArray, variance: FloatArray, number: FloatArray, side: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(K,) lengths in px, (K,) correlated over independent variance, (K, C, C) covariances of the cells' means.
+
+    The mean of a Gaussian function of the distance over two cells is taken as that of Gaussian clouds of their
+    variance, which has a closed form.
+    """
+    distance = ((place[:, None] - place) ** 2).sum(axis=2)
+    blur = variance[:, None] + variance
+    alone = 1 / number
+    same = np.diag_indices(len(place))
+    lengths, parts, made = [0.0], [0.0], [np.diag(alone)]
+    for length in LENGTHS:
+        for mixture in (GAUSSIAN, EXPONENTIAL):
+            shared = np.zeros_like(distance)
+            for share, width in mixture:
+                square = (width * length * side) ** 2
+                shared += share * square / (square + blur) * np.exp(-0.5 * distance / (square + blur))
+            # A point shares all of its error with itself.
+            shared[same] = alone + (1 - alone) * shared[same]
+            for part in SHARED:
+                lengths.append(length * side)
+                parts.append(part)
+                made.append(np.diag(alone) + part * shared)
+    return np.array(lengths), np.array(parts), np.stack(made)
