@@ -129,7 +129,7 @@ REGISTRATION: Mapping[str, GateText] = {
         (STIFFER, "a lower threshold of the detector, for more targets (featreg list METHOD)", MORE),
     ),
     "determinant": GateText(
-        "the determinant of the model's linear part at the image centre, beside what both georeferences state: negative "
+        "the determinant of the model's linear part at the image centre, beside what georeferences state: negative "
         "where it mirrors",
         "two images of one ground are never mirror images, unless a file's rows or columns run backwards",
         "one image is stored mirrored (ascending against descending, slant range against a map), or chance matches",
@@ -142,7 +142,7 @@ REGISTRATION: Mapping[str, GateText] = {
         ("bring both images to about the same pixel size first", KNOWN, OTHER_METHOD),
     ),
     "anisotropy": GateText(
-        "the ratio of the model's largest to its smallest scale at the image centre, beside what both georeferences state",
+        "the ratio of the model's largest to its smallest scale at the centre, beside what both georeferences state",
         "up to 1.5: two views of one ground rarely differ by more; chance models have 2 in the median",
         "a wrong model, or pixels that are not square (slant range, degrees far from the equator)",
         ("bring both images to square pixels of the same size", STIFFER, KNOWN),
