@@ -184,6 +184,8 @@ def _gate(name: str, gate: Gate, text: GateText | None) -> Iterator[str]:
         f"{name}: {found}, {' and '.join(limits) or 'no limit'}", "  ok     " if gate.passed else "  FAILED ", " " * 11
     )
     yield from _wrapped(text.measures if text else gate.meaning or "no meaning is given", " " * 9)
+    if text is not None and not gate.passed and gate.meaning:
+        yield from _wrapped(f"found: {gate.meaning}", " " * 9)
     if text is not None:
         yield from _wrapped(f"limit: {text.limit}", " " * 9)
     if text is not None and not gate.passed:

@@ -40,6 +40,43 @@ BLOCKS = "matching in blocks, which spreads the tie points: --block 600"
 GROUND = "for georeferenced images the heights of the ground: --dem FILE or --height M; --model rpc-bias for RPCs"
 SCALE = "say what the samples are: --scale amplitude, intensity or db"
 
+TWO_MOTIONS = "register the parts that moved each by itself: --mask-reference leaves one of them"
+REPEATED = "a model known beforehand, within half a period: --initial RESULT.json with --search-radius PX"
+
+#: The gates that look for another model that explains as much, and for agreement that is not the scene.
+COMPETING: Mapping[str, GateText] = {
+    "rival": GateText(
+        "the distinct tie points of the next best model over those of the model",
+        "one model explains the scene: of pairs of one place the next best has at most a third of its tie points",
+        "two motions (something moved, or relief), a repeated pattern, or a target that looks alike when it is turned",
+        (TWO_MOTIONS, REPEATED, SOFTER),
+    ),
+    "alias": GateText(
+        "how well the aligned images correlate at the best other shift, or after half a turn, over that of the model",
+        "on pairs of one place no other shift comes near the model's",
+        "a pattern that repeats (fields, blocks of houses, a grid), moved by a whole period, or a symmetric scene",
+        (REPEATED, "larger cut-outs, with something in them that does not repeat"),
+    ),
+    "local": GateText(
+        "the share of the image that moves otherwise than the model, together with its neighbours",
+        "parts that move otherwise cover little of a pair of one place, also years apart",
+        "a second motion, relief, or a model too stiff for the geometry",
+        (SOFTER, TWO_MOTIONS, GROUND),
+    ),
+    "scene": GateText(
+        "how well the images correlate where the model maps, in the third of the image that agrees least",
+        "where both show one ground, the images correlate a little everywhere; unrelated ones do not on the average",
+        "the tie points lie on a label, a frame, a legend or one object, while the scene around it disagrees",
+        (SAME_GROUND, "a mask of the frame, label or legend: --mask-reference and --mask-secondary", OTHER_METHOD),
+    ),
+    "identical": GateText(
+        "the share of tie points that stand still where pixels are identical in both images",
+        "up to half: duplicates and cut-outs of one image are told apart by their surroundings, which agree",
+        "frames, labels, dead pixels or a fixed pattern of the sensor, the same in both images",
+        ("a mask of them: --mask-reference and --mask-secondary", SAME_GROUND),
+    ),
+}
+
 #: The gates of `featreg.match` and `featreg.fit`.
 REGISTRATION: Mapping[str, GateText] = {
     "inliers": GateText(
@@ -92,19 +129,20 @@ REGISTRATION: Mapping[str, GateText] = {
         (STIFFER, "a lower threshold of the detector, for more targets (featreg list METHOD)", MORE),
     ),
     "determinant": GateText(
-        "the determinant of the model's linear part at the image centre: negative where it mirrors",
+        "the determinant of the model's linear part at the image centre, beside what georeferences state: negative "
+        "where it mirrors",
         "two images of one ground are never mirror images, unless a file's rows or columns run backwards",
         "one image is stored mirrored (ascending against descending, slant range against a map), or chance matches",
         ("turn the mirrored image round (numpy.flip, gdal_translate) or give both their georeferencing", SAME_GROUND),
     ),
     "scale": GateText(
-        "pixels of the secondary per pixel of the reference at the image centre",
+        "pixels of the secondary per pixel of the reference at the image centre, beside what both georeferences state",
         "between 1/2.5 and 2.5: beyond, features of one image are hardly found in the other",
         "a wrong model, or images of very different pixel size",
         ("bring both images to about the same pixel size first", KNOWN, OTHER_METHOD),
     ),
     "anisotropy": GateText(
-        "the ratio of the model's largest to its smallest scale at the image centre",
+        "the ratio of the model's largest to its smallest scale at the centre, beside what both georeferences state",
         "up to 1.5: two views of one ground rarely differ by more; chance models have 2 in the median",
         "a wrong model, or pixels that are not square (slant range, degrees far from the equator)",
         ("bring both images to square pixels of the same size", STIFFER, KNOWN),
@@ -140,6 +178,7 @@ REGISTRATION: Mapping[str, GateText] = {
         "the halves of the scene disagree: relief, wrong blocks, or a model with too many parameters",
         (GROUND, SOFTER, STIFFER),
     ),
+    **COMPETING,
 }
 
 WHOLE_AXIS = "the other azimuth axis: --azimuth-axis 1 (or 0)"

@@ -10,6 +10,7 @@ from featreg.results.input_image import InputImage
 
 #: What the tie points that a stage keeps have in common.
 STAGES: Mapping[str, str] = {
+    "identical": "moves, or lies where the images differ",
     "initial": "lies within the search radius of the initial model",
     "prior": "lies where the prior of its block says",
     "gms": "moves as its neighbours do",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
@@ -19,6 +20,9 @@ from featreg.study.jobs import Job, Method, Pair
 from featreg.study.metrics import STANDARD, check_metrics, metric_of
 from featreg.study.prediction_cache import PredictionCache
 from featreg.study.protocol import Protocol
+
+#: Most points of a grid of parameters.
+MOST_POINTS = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -135,6 +139,11 @@ class Experiment:
     def labelled(self) -> dict[str, Method]:
         """Label -> method, with every keyword it is run with."""
         found: dict[str, Method] = {}
+        points = math.prod(len(values) for values in self.grid.values())
+        if points > MOST_POINTS:
+            raise ParameterError(
+                f"the grid has {points} points, at most {MOST_POINTS} can be compared; take fewer values"
+            )
         for label, own in _labelled(self.methods).items():
             common = {**self.protocol.keywords(), **self.parameters, **own}
             if "seed" in common or "seed" in self.grid:

@@ -17,6 +17,8 @@ from featreg.study.truth import WORDS
 
 KEYS = ("title", "pairs", "methods", "parameters", "grid", "seeds", "protocol", "metrics")
 SUFFIXES = (".yaml", ".yml", ".toml")
+#: Most values of a file, and how deep they may be nested.
+MOST_VALUES, DEEPEST = 100_000, 30
 
 
 def read_experiment(path: Path) -> dict[str, Any]:
@@ -33,7 +35,7 @@ def read_experiment(path: Path) -> dict[str, Any]:
         data = _parse(path)
     except OSError as error:
         raise InputError(f"experiment '{path}' cannot be read: {error.strerror or error}") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"experiment '{path}' cannot be read: {' '.join(str(error).split())}") from error
     try:
         return _arguments(data, path.parent)
@@ -69,10 +71,31 @@ def _parse(path: Path) -> Any:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     import yaml
 
+    text, depth = path.read_text(encoding="utf-8"), 0
     try:
-        return yaml.safe_load(path.read_text(encoding="utf-8"))
+        for event in yaml.parse(text, Loader=yaml.SafeLoader):
+            depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+            if depth > DEEPEST:
+                raise ValueError(f"lists and mappings nested more than {DEEPEST} deep")
+        data = yaml.safe_load(text)
     except yaml.YAMLError as error:
         raise ValueError(str(error)) from error
+    if _values(data, {}) > MOST_VALUES:
+        raise ValueError(f"its aliases (&name, *name) unfold to more than {MOST_VALUES} values")
+    return data
+
+
+def _values(value: Any, known: dict[int, int | None]) -> int:
+    """How many values a tree holds whose branches may be shared: a few lines of aliases can stand for billions."""
+    if not isinstance(value, dict | list):
+        return 1
+    if id(value) not in known:
+        known[id(value)] = None
+        known[id(value)] = 1 + sum(_values(v, known) for v in (value.values() if isinstance(value, dict) else value))
+    count = known[id(value)]
+    if count is None:
+        raise ValueError("an alias (*name) that holds itself")
+    return count
 
 
 def _arguments(data: Any, folder: Path) -> dict[str, Any]:

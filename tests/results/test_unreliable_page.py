@@ -47,7 +47,8 @@ def table(texts: Mapping[str, GateText], said: Mapping[str, str]) -> str:
     rows = ["| gate | what it measures | limit | why there | what fails it | what to try |", "| --- " * 6 + "|"]
     for name, text in texts.items():
         cures = "; ".join(text.cures)
-        cells = [f"`{name}`", text.measures, said.get(name, ""), text.limit, text.cause, cures]
+        limit = said.get(name) or str(getattr(Limits(), name, "see the result"))
+        cells = [f"`{name}`", text.measures, limit, text.limit, text.cause, cures]
         rows.append("| " + " | ".join(re.sub(r"(--[a-z][a-z-]*)", r"`\1`", cell) for cell in cells) + " |")
     return "\n".join(rows)
 

@@ -446,3 +446,33 @@ def test_protocol_survives_replacing() -> None:
         "threshold": 3,
         "filters": ["gms"],
     }
+
+
+BOMB = "".join(f"  x{i}: &x{i} [{', '.join([f'*x{i - 1}'] * 10)}]\n" for i in range(1, 12))
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ("parameters: &a {n_features: *a}", "an alias .* that holds itself"),
+        ("grid:\n  n_features: [" + "[" * 3000, "nested more than 30 deep"),
+        ("grid:\n  x0: &x0 [1, 2, 3, 4, 5, 6, 7, 8, 9, 10]\n" + BOMB, "aliases .* unfold to more than"),
+        ("grid: {" + ", ".join(f"p{i}: [1, 2, 3, 4, 5, 6, 7, 8, 9, 10]" for i in range(9)) + "}", "1000000000 points"),
+    ],
+    ids=["recursive", "deep", "bomb", "grid"],
+)  # fmt: skip
+def test_a_file_that_would_never_end_is_refused_at_once(more: str, words: str, tmp_path: Path) -> None:
+    path = tmp_path / "e.yaml"
+    path.write_text(f"pairs: [[a.tif, b.tif]]\nmethods: [orb]\n{more}\n")
+    start = time.perf_counter()
+    with pytest.raises(featreg.FeatregError, match=words):
+        Experiment.from_file(path).labelled()
+    assert time.perf_counter() - start < 5
+
+
+def test_shared_parameters_may_be_written_once(tmp_path: Path) -> None:
+    path = tmp_path / "e.yaml"
+    path.write_text(
+        "pairs: [[a.tif, b.tif]]\nmethods:\n- {method: orb, n_features: &n 700}\n- {method: sift, n_features: *n}\n"
+    )
+    assert [m.keywords["n_features"] for m in Experiment.from_file(path).labelled().values()] == [700, 700]
