@@ -119,6 +119,7 @@ class Refine:
         measured = Matches(here_xy[peaked], there_xy[peaked], fine.height[peaked])
         correlated = int(keep.sum())
         keep &= final.residuals(here_xy, there_xy) <= self.max_residual
+        keep &= on_sample(there_xy, secondary)
         here_xy, there_xy = here_xy[keep], there_xy[keep]
         height, curvature = fine.height[keep], fine.curvature[keep]
         covariance = np.maximum(1 - height**2, 1e-6)[:, None, None] * np.linalg.inv(curvature)

@@ -18,6 +18,11 @@ GAP = 16
 #: Least share of valid pixels in the square of 2 * GAP + 1 px around a bridged one.
 LEAST_SHARE = 1 / 3
 
+# Of the square of NEAR px around a sample that stands alone, more than this share is valid.
+NEAR, SPARSE = 5, 0.5
+# Draws at each distance until a valid sample is met.
+TRIES = 3
+
 
 def bridged(image: Image) -> Image:
     """Return the image as features are looked for in it; itself where no sample stands alone.
@@ -38,6 +43,7 @@ def bridged(image: Image) -> Image:
     if gaps.any():
         amplitude = _around(np.abs(pixels), valid)[gaps]
         pixels[gaps] = amplitude if not image.is_complex else amplitude * _phase_around(pixels, valid)[gaps]
+        _roughen(pixels, valid, gaps)
     return replace(image, pixels=read_only(pixels), mask=read_only(valid | gaps), filled=read_only(gaps))
 
 
@@ -98,6 +104,28 @@ def _around(values: F32, valid: BoolArray) -> F32:
         above = cv2.resize(found, weight.shape[::-1], interpolation=cv2.INTER_LINEAR)
         found = np.where(weight > 0, mean, above)
     return np.asarray(found, np.float32)
+
+
+def _roughen(pixels: NDArray[Any], valid: BoolArray, gaps: BoolArray) -> None:
+    """Give the pixels of a gap that have few valid ones around them the sample of some valid one nearby, in place.
+
+    A mean has no speckle, and where it begins there is an edge, the same one in all images that lack the same rows.
+    """
+    import cv2
+
+    share = cv2.blur(valid.astype(np.float32), (NEAR, NEAR), borderType=cv2.BORDER_REPLICATE)
+    left = np.flatnonzero((gaps & (share < SPARSE)).ravel())
+    height, width = valid.shape
+    samples = pixels.copy()
+    rng = np.random.default_rng(0)
+    for radius in (2, 4, 8, 12, 16, 20):
+        for _ in range(TRIES):
+            y, x = np.divmod(left, width)
+            dx, dy = rng.integers(-radius, radius + 1, (2, len(left)))
+            x, y = np.clip(x + dx, 0, width - 1), np.clip(y + dy, 0, height - 1)
+            found = valid[y, x]
+            pixels.reshape(-1)[left[found]] = samples[y[found], x[found]]
+            left = left[~found]
 
 
 def _phase_around(pixels: NDArray[np.complex64], valid: BoolArray) -> NDArray[np.complex64]:

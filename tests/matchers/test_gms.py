@@ -118,3 +118,41 @@ def test_few_matches_give_a_mask_of_their_length(count: int) -> None:
 def test_impossible_parameters_are_refused(parameters: dict[str, Any]) -> None:
     with pytest.raises(ParameterError):
         registry.create("filter", "gms", **parameters)
+
+
+def chip(ratio: float, swap: bool = False) -> tuple[Matches, Any, dict[str, Any]]:
+    """240 right of 1600 matches of a scene and a chip of 6 % of it, whose pixels are `ratio` times as large."""
+    rng = np.random.default_rng(0)
+    scene, size = np.array([800.0, 655.0]), np.array([193.0, 167.0])
+    right = rng.uniform(0, 1, (240, 2)) * (size - 1)
+    first = np.concatenate([right + np.array([300, 250]), rng.uniform(0, 1, (1360, 2)) * (scene - 1)])
+    second = np.concatenate([right, rng.uniform(0, 1, (1360, 2)) * (size - 1)]) / ratio
+    shapes = (655, 800), (round(167 / ratio), round(193 / ratio))
+    pixels = (ratio, ratio)
+    if swap:
+        first, second, shapes, pixels = second, first, shapes[::-1], (1 / ratio, 1 / ratio)
+    return Matches(first, second, np.ones(len(first))), shapes, {"pixel_ratio": pixels}
+
+
+@pytest.mark.parametrize("ratio", [1.0, 0.25])
+@pytest.mark.parametrize("swap", [False, True])
+def test_a_chip_has_cells_of_the_size_that_the_scene_has(ratio: float, swap: bool) -> None:
+    matches, shapes, known = chip(ratio, swap)
+    context = FilterContext(shapes[0], shapes[1], Affine, **known)
+    kept = registry.create("filter", "gms").keep(matches, context)
+    assert kept[:240].mean() > 0.6
+    assert kept[240:].mean() < 0.05
+
+
+def test_the_roles_of_two_sizes_do_not_matter() -> None:
+    kept = [
+        registry.create("filter", "gms").keep(matches, FilterContext(shapes[0], shapes[1], Affine, **known))
+        for matches, shapes, known in (chip(1.0), chip(1.0, swap=True))
+    ]
+    np.testing.assert_array_equal(kept[0], kept[1])
+
+
+def test_a_tiny_chip_has_four_cells_along_a_side() -> None:
+    rng = np.random.default_rng(0)
+    xy = rng.uniform(0, 63, (300, 2))
+    assert keep(Matches(xy + 500, xy, np.ones(300)), ((1500, 1500), (64, 64))).mean() > 0.9
