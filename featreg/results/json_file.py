@@ -5,7 +5,8 @@ Layout (schema version 1)
 One object: ``schema_version, method, status, reason, gates, seed, reference, secondary, model, counts, blocks, timings,
 provenance, tie_points``. Points are (x, y) in pixels, the centre of the first pixel is (0, 0). ``nan`` and ``inf`` are
 written as null. Relative paths count from ``provenance.folder``, as seen from the file's own, where there is one.
-`reference` and `secondary` hold path, width and height (null where the images are not known) and, where known, scale, dtype, valid_pixels, pixel_size {x, y, unit} and geolocation {transform, crs, rpcs, gcps}. `counts`
+`reference` and `secondary` hold path, width and height (null where the images are not known) and, where known, scale,
+dtype, valid_pixels, pixel_size {x, y, unit} and geolocation {transform, crs, rpcs, gcps}. `counts`
 lists the filters in the order in which they ran. The column `stage` is how many filters, from the first on, a tie point
 survived; a mask that does not follow from it (that of a refinement, whose points are not in the stages before it)
 stands packed in ``tie_points.masks`` (base64 of `numpy.packbits`). Where no model could be fitted `model` is null and
