@@ -4,9 +4,9 @@ Layout (schema version 1)
 -------------------------
 One object: ``schema_version, method, status, reason, gates, seed, reference, secondary, model, counts, blocks, timings,
 provenance, tie_points``. Points are (x, y) in pixels, the centre of the first pixel is (0, 0). ``nan`` and ``inf`` are
-written as null. `folder`, where there is one, is what relative paths count from, as seen from the file's own folder.
-`reference` and `secondary` hold path, width and height (null where the images are not known) and,
-where known, scale, dtype, valid_pixels, pixel_size {x, y, unit} and geolocation {transform, crs, rpcs, gcps}. `counts`
+written as null. Relative paths count from ``provenance.folder``, as seen from the file's own, where there is one.
+`reference` and `secondary` hold path, width and height (null where the images are not known) and, where known, scale,
+dtype, valid_pixels, pixel_size {x, y, unit} and geolocation {transform, crs, rpcs, gcps}. `counts`
 lists the filters in the order in which they ran. The column `stage` is how many filters, from the first on, a tie point
 survived; a mask that does not follow from it (that of a refinement, whose points are not in the stages before it)
 stands packed in ``tie_points.masks`` (base64 of `numpy.packbits`). Where no model could be fitted `model` is null and
@@ -97,7 +97,7 @@ def write_registration(registration: Registration, path: str | Path) -> None:
     path = Path(path)
     stage = _stage(registration)
     columns, masks, head = _columns(registration, stage), _masks(registration, stage), _head(registration)
-    head |= _folder(registration, path)
+    head["provenance"] |= _folder(registration, path)
     # A pipe has no place beside it.
     if len(stage) > MAX_ROWS and not is_stream(path):
         beside = tie_point_file(path)
@@ -192,7 +192,7 @@ def _found(image: InputImage | None, data: Mapping[str, Any], folder: Path) -> I
     """The image with a path that leads to its file from here, where one does."""
     if image is None or os.path.isabs(image.path) or image.path == "array":
         return image
-    for candidate in (folder / str(data.get("folder", ".")) / image.path, folder / image.path):
+    for candidate in (folder / str(data["provenance"].get("folder", ".")) / image.path, folder / image.path):
         if candidate.is_file():
             here = Path(image.path)
             same = here.is_file() and here.samefile(candidate)
@@ -329,7 +329,8 @@ def _fields(data: Any, folder: Path) -> dict[str, Any]:
         "reason": data["reason"],
         "gates": {name: Gate.from_dict(gate) for name, gate in data["gates"].items()},
         "timings": dict(data["timings"]),
-        "provenance": data["provenance"] | ({"tie_point_blocks": block} if (block >= 0).any() else {}),
+        "provenance": {k: v for k, v in data["provenance"].items() if k != "folder"}
+        | ({"tie_point_blocks": block} if (block >= 0).any() else {}),
         "reference": _found(InputImage.from_dict(data["reference"]), data, folder),
         "secondary": _found(InputImage.from_dict(data["secondary"]), data, folder),
     }

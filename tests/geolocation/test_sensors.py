@@ -12,6 +12,7 @@ from rasterio.warp import transform as through
 
 from featreg.errors import InputError
 from featreg.geolocation import GcpSensor, GeotransformSensor, RpcSensor, Sensor, sensor_from_dict, sensor_of
+from featreg.geolocation.pixel_size import pixel_size
 from featreg.geolocation.sensor import METRES_PER_DEGREE
 from featreg.types import Geolocation
 
@@ -57,6 +58,13 @@ class TestSensorOf:
     def test_an_image_without_geolocation_is_named(self, nothing: Geolocation | None) -> None:
         with pytest.raises(InputError, match=r"a\.tif: nothing says where the image lies"):
             sensor_of(nothing, SHAPE, "a.tif")
+
+    def test_control_points_without_a_coordinate_system_are_not_degrees(self) -> None:
+        points = np.array([[0.0, 0, 5e5, 4.6e6, 0], [99, 0, 501e3, 4.6e6, 0], [0, 99, 5e5, 4.599e6, 0]])
+        place = Geolocation(gcps=np.vstack([points, [99.0, 99, 501e3, 4.599e6, 0]]))
+        with pytest.raises(InputError, match=r"its ground control points have no coordinate system"):
+            sensor_of(place, SHAPE, "a.tif")
+        assert pixel_size(place) is None
 
     def test_a_broken_one_is_named(self) -> None:
         with pytest.raises(InputError, match=r"a\.tif: the RPC lacks"):
