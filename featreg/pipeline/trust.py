@@ -193,7 +193,9 @@ CONDITIONS = (
     Condition(
         "uncertainty",
         "standard error of the model over the image, px",
-        lambda e, model: model_uncertainty(e.predicted),
+        lambda e, model: model_uncertainty(
+            e.predicted, model, e.matches.reference_xy, e.matches.secondary_xy, e.reference_shape
+        ),
         lambda limits, e: (None, limits.uncertainty_px),
     ),
     Condition(
