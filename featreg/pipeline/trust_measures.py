@@ -111,7 +111,7 @@ def model_uncertainty(
     """Root mean square standard error in pixels of where a model maps the points at which it is `known`.
 
     Large where the tie points are few, huddle in one part of the image, have errors in common with their neighbours, or
-    all of them, (M, 2), follow a freer model that this one cannot hold. NaN where it cannot be told.
+    those of the matcher, (M, 2), follow a freer model that this one cannot hold. NaN where it cannot be told.
     """
     error = _overall(known if isinstance(known, FailedFit) else known.covariance)
     return math.hypot(error, misfit(model, reference_xy, secondary_xy, shape, error)) if math.isfinite(error) else error
