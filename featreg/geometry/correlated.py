@@ -19,7 +19,7 @@ from featreg.types import FloatArray
 CELLS = 6
 #: Correlation lengths that are weighed against each other, over the longer side of the tie points' bounding box, and
 #: the variance that neighbours share over that which they do not.
-LENGTHS = (0.03, 0.06, 0.1, 0.16, 0.26, 0.5)
+LENGTHS = (0.03, 0.06, 0.1, 0.16, 0.24, 0.34, 0.5)
 SHARED = (0.5, 3.0, 20.0)
 # exp(-d) as a sum of Gaussian functions of d: their shares and standard deviations.
 EXPONENTIAL = ((0.175, 0.12), (0.3, 0.4), (0.36, 0.95), (0.165, 2.0))

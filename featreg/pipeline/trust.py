@@ -135,6 +135,11 @@ class Evidence:
         return before.take(np.arange(0, len(before), max(1, -(-len(before) // MOST_CHECKS))))
 
     @cached_property
+    def found(self) -> tuple[FloatArray, FloatArray]:
+        """(K, 2), (K, 2) tie points of the matcher, in the reference and in the secondary."""
+        return self.matches.reference_xy[self.putative], self.matches.secondary_xy[self.putative]
+
+    @cached_property
     def weights(self) -> FloatArray | None:
         """(K,) inverse variances of the final tie points; None where none is known."""
         covariance = self.matches.covariance
@@ -200,7 +205,7 @@ CONDITIONS = (
     Condition(
         "uncertainty",
         "standard error of the model over the image, px",
-        lambda e, model: model_uncertainty(e.predicted),
+        lambda e, model: model_uncertainty(e.predicted, model, *e.found, e.reference_shape),
         lambda limits, e: (None, limits.uncertainty_px),
     ),
     Condition(

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
 from featreg.errors import InputError
 from featreg.geometry import (
     Affine,
+    Homography,
     Predicted,
+    Rigid,
+    Similarity,
+    Translation,
     dilution,
     local_linear,
     prediction,
@@ -26,6 +31,9 @@ DISTINCT_PX = 6.0
 REGIONS = 4
 # Tie points this near to a model tell how it is distorted; their errors in px are not told apart below the second.
 NEAR_PX, AFFINE_SCALE_PX = 8.0, 0.6
+# Most of them, and the models that are freer than others by what an image pair may need.
+MOST_NEAR = 1000
+_FREER: Mapping[type[Model], type[Model]] = {Translation: Affine, Rigid: Affine, Similarity: Affine, Affine: Homography}
 # The robust fits to halves of the tie points: errors in px below this are not told apart; their rounds.
 SCALE_PX, HELD_OUT_ROUNDS = 0.3, 3
 
@@ -93,13 +101,48 @@ def predicted(
     return prediction(model, reference_xy, secondary_xy, weights, at=_grid(shape))
 
 
-def model_uncertainty(known: Predicted | FailedFit) -> float:
+def model_uncertainty(
+    known: Predicted | FailedFit,
+    model: Model,
+    reference_xy: FloatArray,
+    secondary_xy: FloatArray,
+    shape: tuple[int, int],
+) -> float:
     """Root mean square standard error in pixels of where a model maps the points at which it is `known`.
 
-    Large where the tie points are few, huddle in one part of the image, or have errors in common with their neighbours.
-    NaN where it cannot be told.
+    Large where the tie points are few, huddle in one part of the image, have errors in common with their neighbours, or
+    those of the matcher, (M, 2), follow a freer model that this one cannot hold. NaN where it cannot be told.
     """
-    return _overall(known if isinstance(known, FailedFit) else known.covariance)
+    error = _overall(known if isinstance(known, FailedFit) else known.covariance)
+    return math.hypot(error, misfit(model, reference_xy, secondary_xy, shape, error)) if math.isfinite(error) else error
+
+
+def misfit(
+    model: Model, reference_xy: FloatArray, secondary_xy: FloatArray, shape: tuple[int, int], error: float
+) -> float:
+    """Root mean square in pixels over an image of (H, W) of what a freer model of the tie points does beyond a model.
+
+    It is affine for translation, rigid and similarity models, a homography for affine ones, fitted robustly to the tie
+    points within 8 px of the model, at most 1000. Below the `error` of the model in px, or twice that of the freer one,
+    it is none.
+    """
+    freer = _FREER.get(type(model))
+    if freer is None:
+        return 0.0
+    near = np.flatnonzero(model.residuals(reference_xy, secondary_xy) <= NEAR_PX)
+    near = near[:: max(1, -(-len(near) // MOST_NEAR))]
+    here, there = reference_xy[near], secondary_xy[near]
+    other, weights = irls(freer, here, there, scale_px=AFFINE_SCALE_PX, iterations=5)
+    if isinstance(other, FailedFit):
+        return 0.0
+    grid = _grid(shape)
+    beyond = float(np.sqrt(((other(grid) - model(grid)) ** 2).sum(axis=1).mean()))
+    if not beyond > error:
+        return 0.0
+    used = weights > 0
+    own = predicted(other, here[used], there[used], shape)
+    sure = _overall(own if isinstance(own, FailedFit) else own.covariance)
+    return math.sqrt(beyond**2 - sure**2) if beyond > 2 * sure else 0.0
 
 
 def _grid(shape: tuple[int, int]) -> FloatArray:

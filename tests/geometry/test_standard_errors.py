@@ -75,12 +75,12 @@ def registered(
 def test_intervals_of_95_percent_cover_the_truth_as_often(made: dict[str, Any]) -> None:
     """Through outlier cancellation and the weighted robust fit, for the rotation and both coordinates of the shift.
 
-    It is 94 to 96.5 % over 2000 trials; 1000 scatter by 0.7.
+    It is 94 to 98 %; 400 trials scatter by 1.1.
     """
     from scipy.stats import t as student
 
     rng, hits, trials = np.random.default_rng(11), np.zeros(3), 0
-    for _ in range(1000):
+    for _ in range(400):
         found = registered(rng, **made)
         errors = found.standard_errors
         if not errors:  # the paper's threshold left tie points in fewer than three places
@@ -90,9 +90,9 @@ def test_intervals_of_95_percent_cover_the_truth_as_often(made: dict[str, Any]) 
         reach = student.ppf(0.975, errors["degrees_of_freedom"])
         hits += off <= reach * np.array([errors["rotation_deg_se"], *errors["shift_se_px"]])
         trials += 1
-    assert trials > 950
-    assert (hits / trials > 0.93).all()
-    assert (hits / trials < 0.975).all()
+    assert trials > 380
+    assert (hits / trials > 0.92).all()
+    assert (hits / trials < 0.985).all()
 
 
 def test_without_selection_and_shared_errors_they_are_the_plain_ones() -> None:

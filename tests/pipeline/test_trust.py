@@ -90,6 +90,44 @@ def test_a_rigid_model_of_stretched_tie_points_is_distorted() -> None:
     assert "distortion" not in judge(*tie_points(), Limits(distortion_px=0.3))[2]
 
 
+@pytest.mark.parametrize("refined", [True, False])
+def test_halves_are_judged_before_the_last_fit_chose_and_can_fail(refined: bool) -> None:
+    """Regions that move by 12 px against their neighbours, of which a model keeps what lies within 1 px of it."""
+    rng = np.random.default_rng(2)
+    here = rng.uniform(0, 1, (800, 2)) * (SHAPE[1], SHAPE[0])
+    board = (here / (SHAPE[1] / 4, SHAPE[0] / 4)).astype(int).sum(axis=1) % 2
+    there = here @ MATRIX[:, :2].T + MATRIX[:, 2] + rng.normal(0, 0.2, here.shape)
+    there[:, 0] += 12.0 * board
+    model = Affine(MATRIX)
+    measured = Matches(here, there, np.ones(800))
+    kept = model.residuals(here, there) <= 1
+    every = np.ones(800, np.bool_)
+    evidence = Evidence(measured, every, every, kept, model, SHAPE, SHAPE, measured=measured if refined else None)
+    if refined:  # the tie points themselves are those within 1 px
+        few = measured.take(np.flatnonzero(kept))
+        every = np.ones(len(few), np.bool_)
+        evidence = Evidence(few, every, every, every, model, SHAPE, SHAPE, measured=measured)
+    gate = assess(evidence, Limits())[2]["held_out"]
+    assert gate.value == pytest.approx(12, abs=1)
+    assert not gate.passed
+
+
+def test_what_a_freer_model_does_beyond_the_model_is_part_of_its_error() -> None:
+    """A stretch by e that a rigid fit to the middle cannot hold; none where the model is right."""
+    rng, e = np.random.default_rng(3), 0.01
+    here = rng.uniform(0, 1, (600, 2)) * (SHAPE[1], SHAPE[0])
+    for stretch in (0.0, e):
+        there = (here - 250) * [1 + stretch, 1.0] + 250 + rng.normal(0, 0.3, here.shape)
+        model = Rigid(0.0)
+        near = model.residuals(here, there) <= 1
+        every = np.ones(600, np.bool_)
+        found = Evidence(Matches(here, there, np.ones(600)), every, every, near, model, SHAPE, SHAPE)
+        _, _, gates = assess(found, Limits())
+        value = gates["uncertainty"].value
+        assert value is not None
+        assert value == pytest.approx(e * SHAPE[1] / math.sqrt(12) if stretch else 0.0, rel=0.6, abs=0.08)
+
+
 def test_every_failing_gate_is_named() -> None:
     _, reason, gates = judge(*tie_points(), Limits(least_inliers=10**6, anisotropy=1.0))
     assert {n for n, g in gates.items() if not g.passed} == {"inliers", "anisotropy"}

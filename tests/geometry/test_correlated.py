@@ -1,0 +1,128 @@
+"""The covariance of a model whose tie points share errors over a length that is not known."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from featreg.geometry import (
+    Affine,
+    Polynomial2,
+    ResidualField,
+    Rigid,
+    Translation,
+    correlated_covariance,
+    prediction,
+    prediction_covariance,
+)
+from featreg.interfaces import Model
+from featreg.registry import model_class
+
+SIZE = 512
+TRUTH = Rigid(4.0, 3.0, -2.0)
+Floats = NDArray[np.float64]
+GRID = np.stack(np.meshgrid(np.linspace(0, SIZE, 5), np.linspace(0, SIZE, 5)), -1).reshape(-1, 2)
+
+
+def waves(rng: np.random.Generator, xy: Floats, length: float) -> Floats:
+    """Unit Gaussian errors (M, 2) whose correlation falls as exp(-d^2 / 2 length^2); independent for 0."""
+    if not length:
+        return rng.normal(size=xy.shape)
+    phase = xy @ rng.normal(0, 1 / length, (2, 300))
+    along = [np.cos(phase + rng.uniform(0, 2 * np.pi, 300)).sum(axis=1) for _ in range(2)]
+    return np.asarray(math.sqrt(2 / 300) * np.column_stack(along))
+
+
+def errors(kind: type[Model], length: float, sets: int, seed: int = 0) -> tuple[float, float]:
+    """Share of 95 % intervals that cover the truth, and root mean square stated over true error."""
+    from scipy.stats import t as student
+
+    rng, hits, stated, true = np.random.default_rng(seed), [], [], []
+    right: Model = TRUTH if kind.minimum > 1 else Translation(3.0, -2.0)
+    for _ in range(sets):
+        here = rng.uniform(0, SIZE, (300, 2))
+        there = right(here) + 0.3 * (
+            math.sqrt(0.9) * waves(rng, here, length) + math.sqrt(0.1) * rng.normal(size=here.shape)
+        )
+        model = kind.from_estimate(here, there)
+        assert model
+        found = correlated_covariance(model, here, there, at=GRID)
+        assert found
+        variance = np.diagonal(found.covariance, axis1=1, axis2=2)
+        off = model(GRID) - right(GRID)
+        hits.append(np.mean(np.abs(off) <= student.ppf(0.975, found.dof) * np.sqrt(variance)))
+        stated.append(variance.sum(axis=1).mean())
+        true.append((off**2).sum(axis=1).mean())
+    return float(np.mean(hits)), math.sqrt(np.mean(stated) / np.mean(true))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("length", [0, 30, 80, 160])
+@pytest.mark.parametrize("name", ["translation", "rigid", "similarity", "affine", "homography", "polynomial2"])
+def test_intervals_of_95_percent_cover_the_truth_whatever_the_correlation_length(name: str, length: float) -> None:
+    """92 to 98 % of cases; the points of a grid vary together, so that 150 sets scatter by 1 to 1.5 %."""
+    share, ratio = errors(model_class(name), length, 150)
+    assert 0.905 < share < 0.995
+    assert 1 / 1.3 < ratio < 1.5
+
+
+def test_independent_errors_are_those_of_the_residuals() -> None:
+    rng = np.random.default_rng(0)
+    here = rng.uniform(0, SIZE, (1000, 2))
+    there = TRUTH(here) + rng.normal(0, 0.3, here.shape)
+    for kind in (Rigid, Affine, Polynomial2):
+        model = kind.from_estimate(here, there)
+        assert model
+        found, plain = (
+            correlated_covariance(model, here, there, at=GRID),
+            prediction_covariance(model, here, there, at=GRID),
+        )
+        assert found
+        assert isinstance(plain, np.ndarray)
+        ratio = math.sqrt(np.trace(found.covariance.sum(axis=0)) / np.trace(plain.sum(axis=0)))
+        assert 0.8 < ratio < 1.5
+
+
+def test_shared_errors_make_a_model_less_sure_and_their_length_is_told() -> None:
+    rng = np.random.default_rng(1)
+    here = rng.uniform(0, SIZE, (1000, 2))
+    there = TRUTH(here) + 0.3 * waves(rng, here, 80)
+    model = Affine.from_estimate(here, there)
+    assert model
+    found, plain = (
+        correlated_covariance(model, here, there, at=GRID),
+        prediction_covariance(model, here, there, at=GRID),
+    )
+    assert found
+    assert isinstance(plain, np.ndarray)
+    assert np.trace(found.covariance.sum(axis=0)) > 16 * np.trace(plain.sum(axis=0))
+    assert 50 < found.length < 130
+
+
+def test_what_cannot_be_told_is_said() -> None:
+    here = np.random.default_rng(2).uniform(0, SIZE, (3, 2))
+    exact = Affine.from_estimate(here, TRUTH(here))
+    assert exact
+    few = correlated_covariance(exact, here, TRUTH(here), at=GRID)
+    assert not few
+    assert "3 places" in str(few)
+    assert not correlated_covariance(exact, here[:0], here[:0], at=GRID)
+    many = np.random.default_rng(3).uniform(0, SIZE, (60, 2))
+    still = correlated_covariance(Affine(exact.matrix[:2]), many, Affine(exact.matrix[:2])(many), at=GRID)
+    assert still
+    assert np.abs(still.covariance).max() < 1e-15
+
+
+def test_models_without_derivatives_are_fitted_anew() -> None:
+    rng = np.random.default_rng(4)
+    here = rng.uniform(0, SIZE, (300, 2))
+    there = here + rng.normal(0, 0.3, here.shape)
+    model = ResidualField.from_estimate(here, there)
+    assert model
+    found = prediction(model, here, there, at=GRID)
+    assert found
+    assert math.isnan(found.length)
+    assert (np.trace(found.covariance, axis1=1, axis2=2) > 0).all()
