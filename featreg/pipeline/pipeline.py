@@ -11,6 +11,8 @@ import numpy as np
 
 from featreg.errors import ParameterError
 from featreg.interfaces import Filter, FilterContext, Matcher, Model
+from featreg.pipeline.competing import agreement_gates, rival_gate
+from featreg.pipeline.identical import identical_pixels, stands_still
 from featreg.pipeline.inputs import input_image
 from featreg.pipeline.refine import Refine
 from featreg.pipeline.steps import Draft, filtered, fitted, judged, refined
@@ -80,20 +82,26 @@ class Pipeline:
         with collecting() as timings:
             matches = self.matcher.match(reference, secondary)
             steps.advance()
-            stages = self.filtered(matches, *shapes, seed=seed, initial=initial, search_radius=search_radius)
+            with stage("identical"):
+                identical = identical_pixels(reference, secondary)
+            before = None if identical is None else {"identical": ~stands_still(matches)}
+            known: Any = {"seed": seed, "initial": initial, "search_radius": search_radius}
+            stages = self.filtered(matches, *shapes, before=before, **known)
             steps.advance()
             draft = self.fitted(matches, stages)
             steps.advance()
+            useful = None
             if self.refine is not None:
                 with stage("refine"):
                     found = None
                     if draft.model:
                         found = self.refine.run(reference, secondary, draft.model, matches, self.n_features)
                     draft = refined(draft, found, 0 if found is None else self.refine.least(found.candidates))
+                useful = bool(draft.stages["refine"].any())
             steps.advance()
-            result = self.judged(
-                draft, *shapes, seed=seed, initial=initial, search_radius=search_radius, seconds=timings
-            )
+            with stage("trust"):
+                gates = agreement_gates(draft, reference, secondary, self.limits, identical=identical, refined=useful)
+            result = self.judged(draft, *shapes, further=gates, seconds=timings, **known)
             steps.advance()
         return replace(result, reference=input_image(reference), secondary=input_image(secondary))
 
@@ -153,13 +161,16 @@ class Pipeline:
 
         `seconds` by stage are read last, when judging has added its own.
         """
+        shapes = reference_shape, chance_shape
+        with stage("trust"):
+            competing = rival_gate(draft, shapes, self.limits, seed)
         status, reason, gates = judged(
             draft,
-            (reference_shape, chance_shape),
+            shapes,
             self.limits,
             initial=initial,
             search_radius=search_radius,
-            further=further,
+            further={**competing, **(further or {})},
         )
         provenance = {
             "method": self.name,
