@@ -11,8 +11,10 @@ import numpy as np
 
 from featreg.errors import ParameterError
 from featreg.interfaces import FailedFit, Filter, FilterContext, Matcher, Model
+from featreg.pipeline.competing import agreement_gates, rival_gate
 from featreg.pipeline.feature_matcher import FeatureMatcher
 from featreg.pipeline.frame import Frame, stated_frame
+from featreg.pipeline.identical import identical_pixels, stands_still
 from featreg.pipeline.inputs import input_image, pixel_ratio, with_hints
 from featreg.pipeline.refine import Refine
 from featreg.pipeline.steps import Draft, counted_from, filtered, fitted, judged, model_counted_back, refined
@@ -126,14 +128,12 @@ class Pipeline:
                 reference, secondary = bridged(reference), bridged(secondary)
             matches = on_samples(matcher.match(reference, secondary), reference, secondary)
             steps.advance()
-            stages = self.filtered(
-                matches,
-                *shapes,
-                seed=seed,
-                initial=initial,
-                search_radius=search_radius,
-                pixel_ratio=pixel_ratio(*records, initial),
-            )
+            with stage("identical"):
+                identical = identical_pixels(*given)
+            before = None if identical is None else {"identical": ~stands_still(matches)}
+            known: Any = {"seed": seed, "initial": initial, "search_radius": search_radius}
+            ratio = pixel_ratio(*records, initial)
+            stages = self.filtered(matches, *shapes, before=before, pixel_ratio=ratio, **known)
             steps.advance()
             far = None if search_radius is None else f"lies within {search_radius:g} px of the initial model"
             draft = self.fitted(matches, stages, {} if far is None else {"initial": far})
@@ -141,16 +141,18 @@ class Pipeline:
                 seen = zip(("reference", "secondary"), records, strict=True)
                 draft = draft.without_model("; ".join(image_words(role, image) for role, image in seen))
             steps.advance()
+            useful = None
             if self.refine is not None:
                 with stage("refine"):
                     found = None
                     if draft.model:
                         found = self.refine.run(reference, secondary, draft.model, matches, self.n_features)
                     draft = refined(draft, found, 0 if found is None else self.refine.least(found.candidates))
+                useful = bool(draft.stages["refine"].any())
             steps.advance()
-            result = self.judged(
-                draft, *shapes, seed=seed, initial=initial, search_radius=search_radius, seconds=timings
-            )
+            with stage("trust"):
+                gates = agreement_gates(draft, reference, secondary, self.limits, identical=identical, refined=useful)
+            result = self.judged(draft, *shapes, further=gates, seconds=timings, **known)
             steps.advance()
         return replace(
             result,
@@ -236,13 +238,16 @@ class Pipeline:
 
         `seconds` by stage are read last, when judging has added its own.
         """
+        shapes = reference_shape, chance_shape
+        with stage("trust"):
+            competing = rival_gate(draft, shapes, self.limits, seed)
         status, reason, gates = judged(
             draft,
-            (reference_shape, chance_shape),
+            shapes,
             self.limits,
             initial=initial,
             search_radius=search_radius,
-            further=further,
+            further={**competing, **(further or {})},
             stated=stated,
         )
         provenance = {

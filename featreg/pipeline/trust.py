@@ -57,10 +57,13 @@ class Limits:
         translation, rigid or similarity model, at most; inf for no such gate
     dilution : error of the model over the image for an error of one pixel per place of tie points, at most; inf for no
         such gate
-    block_share : of a scene's blocks with content, the share that must hold a final tie point
-    held_out_rmse_px : of a scene, RMSE of each half of its blocks from the model of the other, at most
-    block_error_px : of a scene, median distance of a block's own tie points from the model, at most, in all blocks but
-        the worst twentieth
+    rival : distinct tie points of the next best model over those of the model, at most; half of it where a refinement
+        found nothing
+    local : share of the image that moves otherwise than the model, at most; half of it where a refinement found nothing
+    alias : correlation of the aligned images at the best other shift, or after half a turn, over that at the model, at
+        most
+    scene : mean correlation of the aligned images in the half that agrees least, at least
+    identical : share of tie points that stand still where pixels do that are identical in both images, at most
     """
 
     least_inliers: int = 12
@@ -76,10 +79,17 @@ class Limits:
     stability_px: float = 1.5
     distortion_px: float = math.inf
     dilution: float = math.inf
+    # Of pairs of one place, also years apart: at most 0.3, 0.06, 0.58, and at least 0.15. Of two motions, relief,
+    # repeated patterns and labels on other places: from 0.47, 0.1 and 0.75 on, and at most 0.05.
+    rival: float = 0.4
+    local: float = 0.1
+    alias: float = 0.7
+    scene: float = 0.06
+    identical: float = 0.5
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            lowest = name in ("least_inliers", "least_spread", "block_share")
+            lowest = name in ("least_inliers", "least_spread", "block_share", "scene")
             if math.isnan(value) or value == (math.inf if lowest else -math.inf) or (name == "scale" and value <= 0):
                 raise ParameterError(f"trust.{name} must be a limit that can be met, got {value}")
 

@@ -1,0 +1,250 @@
+"""Whether the images themselves agree with a model: everywhere, by no second motion, and by no other model as well.
+
+The secondary is resampled by the model onto the reference, both are made four times smaller, and compared: window by
+window over shifts of up to 24 px, and as a whole over all shifts and half a turn. Nothing here depends on tie points,
+so it sees what filters and refinement have dropped.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from featreg.interfaces import Model
+from featreg.pipeline.refine import resampled
+from featreg.sar.correlation import Peaks, local_correlations, peaks
+from featreg.sar.speckle import despeckled
+from featreg.types import BoolArray, FloatArray, Image, IntArray
+
+F32 = NDArray[np.float32]
+
+#: The images are compared by samples of 4 px a side, of 2 px where one is shorter than SHORT px, less a Gaussian mean
+#: of SHADING samples.
+STEP, SHORT, SHADING = 4, 240, 3.0
+#: Half of a window, largest shift looked for, in samples, and most windows along each side of the image; they lie at
+#: least half a window apart.
+HALF, SEARCH, SIDE = 8, 6, 12
+#: Least correlation of a window that speaks for the model, and of one that speaks against it.
+FOR, AGAINST = 0.4, 0.5
+#: A window speaks against the model where its peak lies farther away than this, px, and explains so many times better.
+FAR_PX, BETTER = 1.75, 1.15
+#: Displacements of neighbouring windows that move together differ by less than this, px.
+TOGETHER_PX = 2.5
+#: Shifts of the whole image within this many samples of none belong to the peak of the model itself.
+LOBE = 4
+#: Fewest windows with something to say, and least share of those that both images hold.
+LEAST_WINDOWS, LEAST_SPEAKING = 12, 1 / 3
+#: A window has structure where neighbouring samples correlate by this much; speckle alone has 0.0 to 0.2.
+STRUCTURE = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """What the windows say.
+
+    Parameters
+    ----------
+    xy : (N, 2) float64 px, their centres in the reference
+    moved : (N, 2) float64 px, displacement of each in the reference's frame beyond the model
+    at_model : (N,) float64 correlation where the model maps
+    height : (N,) float64 correlation where it is highest
+    agree, contradict : (N,) bool, those that speak for the model and against it
+    inside : (N,) bool, those that both images hold
+    reach : half the side of a window, px
+    """
+
+    xy: FloatArray
+    moved: FloatArray
+    at_model: FloatArray
+    height: FloatArray
+    agree: BoolArray
+    contradict: BoolArray
+    inside: BoolArray
+    reach: float
+
+    @property
+    def contradicting(self) -> float | None:
+        """Share of the windows that speak at all which speak against the model; None where too few do."""
+        against, speaking = int(self.contradict.sum()), int((self.agree | self.contradict).sum())
+        enough = max(LEAST_WINDOWS, LEAST_SPEAKING * int(self.inside.sum()))
+        return against / speaking if speaking >= enough else None
+
+
+@dataclass(frozen=True, eq=False)
+class Agreement:
+    """Two images on the reference's grid, made smaller.
+
+    Parameters
+    ----------
+    here, there : (h, w) float32 local contrast of the logarithms, the secondary resampled by the model; 0 where invalid
+    valid : (h, w) bool
+    step : side of a sample, px
+    """
+
+    here: F32
+    there: F32
+    valid: BoolArray
+    step: int
+
+    @classmethod
+    def of(cls, reference: Image, secondary: Image, model: Model, without: BoolArray | None = None) -> Agreement | None:
+        """Compare two images under a model; None where they are too small, or share too little.
+
+        `without` are (H, W) pixels at the same place in both that do not count.
+        """
+        step = STEP if min(reference.shape) >= SHORT else STEP // 2
+        size = (reference.shape[1] // step, reference.shape[0] // step)
+        if min(size) < 2 * (HALF + SEARCH + 1) + 4:
+            return None
+        usable = [image.mask if without is None else image.mask & ~without for image in (reference, secondary)]
+        covered = _covered(usable[1], model, reference.shape) & usable[0]
+        valid = smaller(covered.astype(np.float32), step) > 0.999
+        if np.count_nonzero(valid) < (2 * HALF + 1) ** 2:
+            return None
+        views = despeckled(reference), resampled(despeckled(secondary), model, reference.shape)
+        here, there = (contrast(smaller(view, step), valid) for view in views)
+        return cls(here, there, valid, step)
+
+    @cached_property
+    def windows(self) -> Windows:
+        """What the windows say, each 17 samples wide, on a regular grid."""
+        import cv2
+
+        reach = HALF + SEARCH + 1
+        height, width = self.here.shape
+        gx, gy = (
+            np.linspace(reach, n - reach - 1, min(SIDE, (n - 2 * reach - 1) // HALF + 1)).astype(np.int64)
+            for n in (width, height)
+        )
+        grid = (len(gy), len(gx))
+        at = np.stack(np.meshgrid(gx, gy), -1).reshape(-1, 2)
+        correlations = local_correlations(self.here, self.there, at, HALF, SEARCH)
+        found = peaks(correlations)
+        at_model = np.maximum(correlations[:, SEARCH, SEARCH], -1.0)
+        share = cv2.boxFilter(self.valid.astype(np.float32), -1, (2 * HALF + 1,) * 2, borderType=cv2.BORDER_CONSTANT)
+        inside = share[at[:, 1], at[:, 0]] > 0.9
+        moved = self.step * found.shift
+        speaks = inside & found.sound & (found.height >= FOR)
+        far = np.hypot(*moved.T) > FAR_PX
+        contradict = speaks & far & (found.height >= AGAINST) & _better(found, at_model)
+        contradict &= _neighbours(moved, contradict, grid) >= 1
+        xy = (at.astype(np.float64) + 0.5) * self.step - 0.5
+        return Windows(
+            xy, moved, at_model, found.height, speaks & ~far, contradict, inside,
+            (HALF + 0.5) * self.step,
+        )  # fmt: skip
+
+    @cached_property
+    def elsewhere(self) -> float | None:
+        """Mean correlation at the model of the half of the structured samples around which the images agree least.
+
+        Over squares of 36 px. None where less than a tenth of the samples that both images hold has structure.
+        """
+        structured = self.valid & (np.minimum(_structure(self.here), _structure(self.there)) >= STRUCTURE)
+        if np.count_nonzero(structured) < 0.1 * np.count_nonzero(self.valid):
+            return None
+        power = _mean(self.here * self.here, HALF // 2) * _mean(self.there * self.there, HALF // 2)
+        local = _mean(self.here * self.there, HALF // 2) / np.sqrt(np.maximum(power, 1e-20))
+        ranked = np.sort(local[structured])
+        return float(ranked[: len(ranked) // 2 + 1].mean())
+
+    @cached_property
+    def whole(self) -> tuple[float, float, tuple[float, float], float]:
+        """Correlation of the whole images.
+
+        Returns
+        -------
+        model, other, shift, turned : correlation coefficient at the model, the highest at any other shift, that shift
+            (dx, dy) in px, and the highest after half a turn
+        """
+        from scipy import fft
+
+        shape = tuple(fft.next_fast_len(2 * n, real=True) for n in self.here.shape)
+        a, b = fft.rfft2(self.here, shape), fft.rfft2(self.there, shape)
+        norm = float(np.sqrt(np.vdot(self.here, self.here) * np.vdot(self.there, self.there))) + 1e-30
+        straight = fft.irfft2(a.conj() * b, shape) / norm
+        turned = float(fft.irfft2(a * b, shape).max()) / norm
+        straight = np.roll(straight, (LOBE, LOBE), (0, 1))
+        lobe = straight[: 2 * LOBE + 1, : 2 * LOBE + 1]
+        model = float(lobe.max())
+        lobe[:] = -1.0
+        row, col = divmod(int(straight.argmax()), straight.shape[1])
+        other = float(straight[row, col])
+        dy, dx = (self.step * float((i - LOBE + n // 2) % n - n // 2) for i, n in zip((row, col), shape, strict=True))
+        return model, other, (dx, dy), turned
+
+
+def smaller(view: F32, step: int) -> F32:
+    """A (H, W) map averaged to samples of `step` px; odd last rows and columns are left out."""
+    import cv2
+
+    height, width = view.shape[0] // step, view.shape[1] // step
+    return np.asarray(
+        cv2.resize(view[: step * height, : step * width], (width, height), interpolation=cv2.INTER_AREA), np.float32
+    )
+
+
+def contrast(view: F32, valid: BoolArray) -> F32:
+    """A map less its local mean over the valid samples; 0 elsewhere."""
+    import cv2
+
+    if valid.all():
+        return np.asarray(view - cv2.GaussianBlur(view, (0, 0), SHADING), np.float32)
+    weight = valid.astype(np.float32)
+    mean = cv2.GaussianBlur(view * weight, (0, 0), SHADING) / np.maximum(
+        cv2.GaussianBlur(weight, (0, 0), SHADING), 1e-6
+    )
+    return np.asarray((view - mean) * weight, np.float32)
+
+
+def _covered(mask: BoolArray, model: Model, shape: tuple[int, int]) -> BoolArray:
+    """(H, W) pixels of the reference that the model maps onto valid ones of the secondary."""
+    import cv2
+
+    framed = np.zeros((mask.shape[0] + 2, mask.shape[1] + 2), np.float32)
+    framed[1:-1, 1:-1] = mask
+    matrix = model.matrix
+    if matrix is not None and np.array_equal(matrix[2], [0, 0, 1]):
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        into = matrix[:2] + np.array([[0, 0, 1], [0, 0, 1]])
+        return np.asarray(cv2.warpAffine(framed, into, shape[::-1], flags=flags), np.float32) > 0.999
+    x, y = np.meshgrid(np.arange(shape[1], dtype=np.float64), np.arange(shape[0], dtype=np.float64))
+    at = (model(np.column_stack([x.ravel(), y.ravel()])) + 1).reshape(*shape, 2).astype(np.float32)
+    return np.asarray(cv2.remap(framed, at[..., 0], at[..., 1], cv2.INTER_LINEAR), np.float32) > 0.999
+
+
+def _better(found: Peaks, at_model: FloatArray) -> BoolArray:
+    """Whether the peak explains a window so much better than the model that it is no accident of noise."""
+    left = 1 - np.minimum(found.height, 0.995) ** 2
+    return np.asarray((1 - np.maximum(at_model, 0) ** 2) > BETTER * left)
+
+
+def _neighbours(moved: FloatArray, which: BoolArray, grid: tuple[int, int]) -> IntArray:
+    """(N,) how many of the neighbours above, below, left and right are of `which` and move alike."""
+    field, there = moved.reshape(*grid, 2), which.reshape(grid)
+    count = np.zeros(grid, np.int64)
+    for axis in (0, 1):
+        alike = np.hypot(*np.moveaxis(np.diff(field, axis=axis), -1, 0)) <= TOGETHER_PX
+        first, second = (there.take(range(i, grid[axis] - 1 + i), axis) for i in (0, 1))
+        pad = [(0, 0), (0, 0)]
+        pad[axis] = (0, 1)
+        count += np.pad(alike & second, pad)
+        pad[axis] = (1, 0)
+        count += np.pad(alike & first, pad)
+    return count.ravel()
+
+
+def _structure(view: F32) -> F32:
+    """(h, w) correlation of neighbouring samples in the window around each."""
+    beside = np.asarray(np.roll(view, -1, 1) + np.roll(view, -1, 0), np.float32)
+    return np.asarray(_mean(beside * view, HALF) / np.maximum(2 * _mean(view * view, HALF), 1e-12), np.float32)
+
+
+def _mean(view: F32, half: int) -> F32:
+    """(h, w) mean over the square of 2 * half + 1 samples around each."""
+    import cv2
+
+    return np.asarray(cv2.blur(view, (2 * half + 1, 2 * half + 1)), np.float32)

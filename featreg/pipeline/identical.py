@@ -1,0 +1,126 @@
+"""Pixels that two images have in common without showing the same place: frames, labels, dead pixels, fixed patterns."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from featreg.types import BoolArray, FloatArray, Image, Matches
+
+F32 = NDArray[np.float32]
+
+#: Fewest identical pixels that can make a tie point, and the share of an image beyond which they are the scene.
+LEAST, MOST = 20, 0.7
+#: So many times more often than by chance a value stands at the same place in both images.
+EXCESS = 4.0
+#: Share of a 9 x 9 square that is identical where an area is, whatever its values.
+DENSE = 0.6
+#: Side of the squares whose means are compared around the identical pixels, and how alike they are where the images
+#: show the same place: 0.32 to 0.9 on pairs of one place on one grid, years apart; below 0.08 on other places.
+BLOCK, ALIKE = 8, 0.2
+#: Correlation of the finest detail from which on it is shared: speckle of two dates has below 0.1, and below 0.02 on
+#: other places. Side of the middle part that is looked at, px.
+PATTERN, CROP = 0.12, 256
+#: Tie points that move by less than this stand still as the identical pixels do, px.
+STILL_PX = 2.0
+
+
+def identical_pixels(reference: Image, secondary: Image) -> BoolArray | None:
+    """Return the (H, W) pixels that are identical at the same place while their surroundings disagree.
+
+    All of them where the images share the finest detail and nothing else, as a fixed pattern of gains does. None where
+    there are none: the images differ in size, no value is shared more often than by chance, or the images agree around
+    those pixels too, as two images of one place on one grid do, or an image and itself.
+    """
+    if reference.shape != secondary.shape:
+        return None
+    a, b = reference.pixels, secondary.pixels
+    same: BoolArray = np.asarray(a == b) & reference.mask & secondary.mask
+    count = np.count_nonzero(same)
+    if count > MOST * same.size:
+        return None
+    if count >= LEAST:
+        same = _beyond_chance(same, np.abs(a), np.abs(b))
+        if np.count_nonzero(same) >= LEAST and _likeness(reference, secondary, same) < ALIKE:
+            return same
+    if _detail(reference, secondary) >= PATTERN and _likeness(reference, secondary, np.zeros_like(same)) < ALIKE:
+        return np.ones_like(same)
+    return None
+
+
+def stands_still(matches: Matches) -> BoolArray:
+    """(M,) tie points that have the same place in both images, as what is no part of the scene has."""
+    return np.asarray(np.hypot(*(matches.secondary_xy - matches.reference_xy).T) <= STILL_PX)
+
+
+def _beyond_chance(same: BoolArray, a: F32, b: F32) -> BoolArray:
+    """Of the pixels that are equal, those in areas where nearly all are, or of values that meet too often."""
+    import cv2
+
+    dense = cv2.boxFilter(same.astype(np.float32), -1, (9, 9), borderType=cv2.BORDER_REPLICATE) >= DENSE
+    values, counts = np.unique(a[same], return_counts=True)
+    often = values[counts >= LEAST]
+    if len(often):
+        chance = np.array([np.count_nonzero(a == v) * (np.count_nonzero(b == v) / b.size) for v in often[:256]])
+        often = often[:256][counts[counts >= LEAST][:256] > EXCESS * chance]
+    return np.asarray(same & (dense | np.isin(a, often)))
+
+
+def _likeness(reference: Image, secondary: Image, same: BoolArray) -> float:
+    """Correlation of the local contrasts of two images on one grid, without the pixels of `same`; 1 where none is left.
+
+    Means over squares of 8 px, less their surroundings of about 40 px, in logarithms: neither speckle nor shading.
+    """
+    import cv2
+
+    use = reference.mask & secondary.mask & ~_widened(same)
+    size = (use.shape[1] // BLOCK, use.shape[0] // BLOCK)
+    if min(size) < 4:
+        return 1.0
+    height, width = size[1] * BLOCK, size[0] * BLOCK
+
+    def means(view: F32) -> F32:
+        return np.asarray(cv2.resize(view[:height, :width], size, interpolation=cv2.INTER_AREA), np.float32)
+
+    weight = means(use.astype(np.float32))
+    good = weight >= 0.25
+    if np.count_nonzero(good) < 0.1 * good.size:
+        return 1.0
+    contrasts: list[FloatArray] = []
+    for image in (reference, secondary):
+        level = means(image.amplitude * use) / np.maximum(weight, 1e-6)
+        floor = 1e-2 * float(level[good].mean()) + 1e-30
+        view = np.where(good, np.log(np.maximum(level, floor)), 0).astype(np.float32)
+        around = cv2.GaussianBlur(view, (0, 0), 2.5) / np.maximum(
+            cv2.GaussianBlur(good.astype(np.float32), (0, 0), 2.5), 1e-6
+        )
+        contrasts.append((view - around)[good].astype(np.float64))
+    if min(contrast.std() for contrast in contrasts) < 1e-6:
+        # Nothing but the identical pixels is there to disagree.
+        return 1.0
+    return float(np.corrcoef(contrasts[0], contrasts[1])[0, 1])
+
+
+def _detail(reference: Image, secondary: Image) -> float:
+    """Correlation of the finest detail, each pixel less its 3 x 3 mean in logarithms, in the middle of the images."""
+    import cv2
+
+    middle = tuple(slice(max(0, n // 2 - CROP // 2), n // 2 + CROP // 2) for n in reference.shape)
+    use = (reference.mask & secondary.mask)[middle]
+    if np.count_nonzero(use) < 0.5 * use.size:
+        return 0.0
+    views: list[FloatArray] = []
+    for image in (reference, secondary):
+        amplitude = np.ascontiguousarray(np.abs(image.pixels[middle]))
+        view = cv2.log(np.maximum(amplitude, 1e-2 * float(amplitude.mean()) + 1e-30).astype(np.float32))
+        views.append((view - cv2.blur(view, (3, 3)))[use].astype(np.float64))
+    if min(view.std() for view in views) < 1e-6:
+        return 0.0
+    return float(np.corrcoef(views[0], views[1])[0, 1])
+
+
+def _widened(mask: BoolArray) -> BoolArray:
+    """The pixels of a mask and their eight neighbours."""
+    import cv2
+
+    return np.asarray(cv2.dilate(mask.view(np.uint8), np.ones((3, 3), np.uint8)), np.uint8) > 0

@@ -1,0 +1,201 @@
+"""Trust where images agree without showing one scene under one model: nothing there is "ok", no right one is lost."""
+
+from __future__ import annotations
+
+import re
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+import featreg
+from featreg.geometry import Translation
+from featreg.io import as_image
+from featreg.pipeline.agreement import Agreement
+from featreg.pipeline.identical import identical_pixels
+
+F32 = NDArray[np.float32]
+SIDE = 400
+
+
+def scene(seed: int, side: int = SIDE) -> F32:
+    """Ground of patches and bright targets."""
+    rng = np.random.default_rng(seed)
+    ground = sum(
+        weight * gaussian_filter(rng.normal(0, 1, (side, side)), sigma) * sigma
+        for sigma, weight in ((2.0, 0.5), (6.0, 0.8), (20.0, 0.7))
+    )
+    return np.asarray(60 * np.exp(ground), np.float32)
+
+
+def seen(ground: F32, seed: int, looks: int = 4) -> F32:
+    rng = np.random.default_rng([seed, 9])
+    return np.asarray(ground * np.sqrt(rng.gamma(looks, 1 / looks, ground.shape)), np.float32)
+
+
+def number(text: str, reason: str) -> float:
+    found = re.search(rf"{text} ([+-]?[\d.]+)", reason)
+    assert found, reason
+    return float(found.group(1))
+
+
+def marked(kind: str) -> NDArray[np.bool_]:
+    drawing = np.zeros((SIDE, SIDE), np.uint8)
+    if kind in ("frame and label", "frame"):
+        cv2.rectangle(drawing, (6, 6), (393, 393), 255, 2)
+    if kind in ("frame and label", "label"):
+        cv2.putText(drawing, "SAR 2026", (20, 370), cv2.FONT_HERSHEY_SIMPLEX, 1.2, 255, 3)
+    if kind == "legend":
+        for i in range(8):
+            cv2.putText(drawing, f"class {i}", (250, 40 + 22 * i), cv2.FONT_HERSHEY_SIMPLEX, 0.5, 255, 1)
+            cv2.rectangle(drawing, (225, 28 + 22 * i), (242, 42 + 22 * i), 255, -1)
+    if kind == "dead pixels":
+        drawing[np.random.default_rng(4).random(drawing.shape) < 0.01] = 255
+    return drawing > 0
+
+
+@pytest.mark.parametrize("kind", ["frame and label", "frame", "label", "legend", "dead pixels"])
+@pytest.mark.parametrize("method", ["sar-orb", "rift"])
+def test_what_stands_on_both_of_two_unrelated_images_does_not_vote(kind: str, method: str) -> None:
+    mark = marked(kind)
+    a, b = (np.where(mark, np.float32(900), seen(scene(s), s)) for s in (1, 2))
+    found = identical_pixels(as_image(a), as_image(b))
+    assert found is not None
+    assert (found == mark).mean() > 0.999
+    result = featreg.match(a, b, method=method)
+    assert result.status == "unreliable"
+    still = np.hypot(*(result.matches.secondary_xy - result.matches.reference_xy).T) <= 2
+    assert not result.stages["identical"][still].any()
+
+
+def test_a_fixed_pattern_on_unrelated_images_does_not_vote() -> None:
+    gain = np.random.default_rng(3).normal(1, 0.5, (SIDE, SIDE)).clip(0.2, 3)
+    a, b = ((seen(scene(s), s) * gain).astype(np.float32) for s in (1, 2))
+    found = identical_pixels(as_image(a), as_image(b))
+    assert found is not None
+    assert found.all()
+    assert featreg.match(a, b).status == "unreliable"
+
+
+@pytest.mark.parametrize("method", ["sar-orb", "akaze"])
+def test_a_logo_at_two_places_of_unrelated_images_is_not_the_scene(method: str) -> None:
+    rng = np.random.default_rng(0)
+    logo = np.zeros((110, 110), np.uint8)
+    for _ in range(7):
+        centre = [int(v) for v in rng.integers(15, 95, 2)]
+        cv2.circle(logo, centre, int(rng.integers(4, 14)), int(rng.integers(90, 255)), int(rng.choice([-1, 2])))
+    cv2.putText(logo, "LOGO", (8, 90), cv2.FONT_HERSHEY_SIMPLEX, 1.0, 255, 3)
+    images = []
+    for seed, (y, x) in ((1, (20, 30)), (2, (60, 90))):
+        image = seen(scene(seed), seed)
+        image[y : y + 110, x : x + 110] = logo
+        images.append(image)
+    result = featreg.match(*images, method=method)
+    assert result.status == "unreliable"
+    assert "scene" in result.reason
+
+
+@pytest.mark.parametrize("method", ["sar-orb", "rift"])
+def test_half_of_the_scene_moved_is_two_motions(method: str) -> None:
+    ground = scene(5)
+    moved = ground.copy()
+    moved[:, 200:] = np.roll(ground, 8, 0)[:, 200:]
+    result = featreg.match(seen(ground, 1), seen(moved, 2), method=method)
+    assert result.status == "unreliable"
+    words = next(part for part in result.reason.split("; ") if "two motions" in part)
+    points = number("two motions,", words)
+    assert 100 < points <= len(result.matches)
+    # Either half may be the one that the words call moved.
+    sign = 1 if "right part" in words else -1
+    assert ("left part" in words) == (sign < 0)
+    assert number("dx", words) == pytest.approx(0, abs=1)
+    assert number("dy", words) == pytest.approx(sign * 8, abs=1)
+
+
+def test_a_small_part_that_moved_leaves_the_model_and_is_told() -> None:
+    ground = scene(5)
+    moved = ground.copy()
+    moved[250:330, 200:300] = np.roll(ground, 8, 0)[250:330, 200:300]
+    result = featreg.match(seen(ground, 1), seen(moved, 2))
+    assert result.status == "ok"
+    assert result.gates["local"].value is not None
+    assert result.model
+    assert result.model(np.array([[150.0, 150.0]]))[0] == pytest.approx([150, 150], abs=0.3)
+    assert result.gates["rival"].value == pytest.approx(0.05, abs=0.05)
+    assert "agree on another model" in result.gates["rival"].meaning
+
+
+@pytest.mark.parametrize("method", ["sar-orb", "sift"])
+def test_two_scenes_in_one_exposure_are_rivals(method: str) -> None:
+    ground = scene(6)
+    both = 0.5 * ground + 0.5 * np.roll(ground, (24, 18), (0, 1))
+    result = featreg.match(seen(ground, 1), seen(np.asarray(both, np.float32), 2), method=method)
+    assert result.status == "unreliable"
+
+
+@pytest.mark.parametrize("period", [25, 40])
+def test_a_scene_that_repeats_has_no_one_model(period: int) -> None:
+    """Judged by the images themselves: matchers mostly find no consensus here in the first place."""
+    tile = gaussian_filter(np.random.default_rng(7).uniform(20, 160, (period, period)), 2, mode="wrap")
+    ground = np.tile(tile, (SIDE // period + 1,) * 2)[:SIDE, :SIDE].astype(np.float32)
+    a, b = seen(ground, 1), seen(np.roll(ground, period, 0), 2)
+    agreement = Agreement.of(as_image(a), as_image(b), Translation(0, 0))
+    assert agreement is not None
+    model, other, shift, _ = agreement.whole
+    assert other > 0.7 * model
+    assert min(abs(abs(s) % period - p) for s in shift for p in (0, period)) < 5
+    assert featreg.match(a, b).status == "unreliable"
+
+
+@pytest.mark.parametrize("method", ["rift", "rift-paper", "sar-orb"])
+def test_one_ringing_spot_is_one_tie_point(method: str) -> None:
+    spot = np.full((200, 200), 7, np.uint8)
+    spot[100:103, 90:93] = 70
+    result = featreg.match(spot, np.roll(spot, (3, 5), (0, 1)), method=method)
+    if result.status == "ok":
+        assert result.model
+        assert result.model(np.array([[91.0, 101.0], [20, 20]])) == pytest.approx(
+            np.array([[96, 104], [25, 23]]), abs=1
+        )
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_relief_under_an_affine_model_is_named_with_its_cures(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    bend = [gaussian_filter(rng.normal(0, 1, (SIDE, SIDE)), 40, mode="wrap") for _ in range(2)]
+    dx, dy = (amplitude * f / np.abs(f).max() for amplitude, f in zip((10, 3), bend, strict=True))
+    y, x = np.mgrid[0:SIDE, 0:SIDE]
+    ground = scene(8)
+    at = [(grid + by).astype(np.float32) for grid, by in ((x, dx), (y, dy))]
+    warped = cv2.remap(ground, at[0], at[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+    result = featreg.match(seen(ground, 1, 8), seen(np.asarray(warped, np.float32), 2, 8))
+    assert result.status == "unreliable"
+    assert "local" in result.reason
+    assert all(word in result.reason for word in ("relief", "residual-field", "rpc-bias", "blocks"))
+
+
+@pytest.mark.parametrize(
+    "case", ["itself", "crop", "shifted", "fresh speckle", "labelled", "labelled and shifted", "dead"]
+)
+def test_images_of_one_scene_stay_ok(case: str) -> None:
+    ground = scene(9, 460)
+    first = seen(ground, 1)
+    here = first[:SIDE, :SIDE]
+    there, shift = {
+        "itself": (here, (0, 0)),
+        "crop": (here[40:340, 60:380], (-60, -40)),
+        "shifted": (first[17 : SIDE + 17, 23 : SIDE + 23], (-23, -17)),
+        "fresh speckle": (seen(ground, 2)[:SIDE, :SIDE], (0, 0)),
+        "labelled": (seen(ground, 2)[:SIDE, :SIDE], (0, 0)),
+        "labelled and shifted": (seen(ground, 2)[37 : SIDE + 37, 43 : SIDE + 43], (-43, -37)),
+        "dead": (seen(ground, 2)[17 : SIDE + 17, 23 : SIDE + 23], (-23, -17)),
+    }[case]
+    if "label" in case or case == "dead":
+        mark = marked("legend") if "label" in case else np.random.default_rng(4).random((SIDE, SIDE)) < 0.004
+        here, there = (np.where(mark, np.float32(900), image) for image in (here, there))
+    result = featreg.match(here, np.ascontiguousarray(there))
+    assert result.status == "ok", result.reason
+    assert result.model
+    assert result.model(np.array([[150.0, 150.0]]))[0] - [150, 150] == pytest.approx(shift, abs=0.3)
