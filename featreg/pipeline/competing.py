@@ -20,7 +20,7 @@ from featreg.types import BoolArray, FloatArray, Gate, Image
 #: Tie points within this of a model follow it, px; those of another model lie farther from it than the second.
 WITHIN_PX, APART_PX = 3.0, 6.0
 #: Most tie points, and most hypotheses, among which the second model is sought; a tenth that agree are found.
-SAMPLE, HYPOTHESES = 1500, 400
+SAMPLE, HYPOTHESES = 1000, 400
 #: Displacements of windows lie within this of a motion of their own, px, and so many of those that contradict the model
 #: must follow the second motion for there to be one.
 MOTION_PX, FOLLOW = 1.5, 0.7
@@ -114,8 +114,8 @@ def agreement_gates(
         return gates
     whole, other, shift, turned = agreement.whole
     windows = agreement.windows
-    elsewhere = agreement.elsewhere
-    if elsewhere is not None and windows.at_model.max() >= SAME_OBJECT:
+    elsewhere = agreement.elsewhere if windows.at_model.max() >= SAME_OBJECT else None
+    if elsewhere is not None:
         gates["scene"] = Gate(
             elsewhere,
             low=limits.scene,

@@ -20,7 +20,7 @@ DENSE = 0.6
 BLOCK, ALIKE = 8, 0.2
 #: Correlation of the finest detail from which on it is shared: speckle of two dates has below 0.1, and below 0.02 on
 #: other places. Side of the middle part that is looked at, px.
-PATTERN, CROP = 0.12, 256
+PATTERN, CROP = 0.12, 160
 #: Tie points that move by less than this stand still as the identical pixels do, px.
 STILL_PX = 2.0
 
