@@ -31,12 +31,18 @@ TURNED_DEG = 1.0
 #: Least correlation of the whole images at which their intensities can be compared: for local displacements, and for
 #: other shifts of the whole. Optical against SAR has mostly less.
 COMPARABLE, DECISIVE = 0.2, 0.4
+#: Value of the gate `scene` from which on the images agree nearly everywhere.
+SURE = 0.5
 #: Correlation of a window that shows the same object; where the best has less, the images differ everywhere.
 SAME_OBJECT = 0.9
 
 
 def rival_gate(
-    draft: Draft, shapes: tuple[tuple[int, int], tuple[int, int]], limits: Limits, seed: int
+    draft: Draft,
+    shapes: tuple[tuple[int, int], tuple[int, int]],
+    limits: Limits,
+    seed: int,
+    scene: Gate | None = None,
 ) -> dict[str, Gate]:
     """The support of the next best model among all tie points of the matcher, over that of the model.
 
@@ -46,6 +52,9 @@ def rival_gate(
     if isinstance(model, FailedFit):
         return {}
     rows = np.flatnonzero(draft.putative)
+    if scene is not None and scene.value is not None and scene.value >= SURE and "identical" in draft.stages:
+        # The images agree elsewhere too, so what stands still with identical pixels is no rival.
+        rows = rows[draft.stages["identical"][rows]]
     away = model.residuals(matches.reference_xy[rows], matches.secondary_xy[rows])
     first, left = rows[away <= WITHIN_PX], rows[away > APART_PX]
     share, words = 0.0, ""
