@@ -99,9 +99,12 @@ class Agreement:
         size = (reference.shape[1] // step, reference.shape[0] // step)
         if min(size) < 2 * (HALF + SEARCH + 1) + 4:
             return None
-        usable = [image.mask if without is None else image.mask & ~without for image in (reference, secondary)]
-        covered = _covered(usable[1], model, reference.shape) & usable[0]
-        valid = smaller(covered.astype(np.float32), step) > 0.999
+        if without is None and reference.all_valid and secondary.all_valid:
+            valid = _inside(model, size, step, secondary.shape)
+        else:
+            usable = [image.mask if without is None else image.mask & ~without for image in (reference, secondary)]
+            covered = _covered(usable[1], model, reference.shape) & usable[0]
+            valid = smaller(covered.astype(np.float32), step) > 0.999
         if np.count_nonzero(valid) < (2 * HALF + 1) ** 2:
             return None
         views = despeckled(reference), resampled(despeckled(secondary), model, reference.shape)
@@ -198,6 +201,14 @@ def contrast(view: F32, valid: BoolArray) -> F32:
         cv2.GaussianBlur(weight, (0, 0), SHADING), 1e-6
     )
     return np.asarray((view - mean) * weight, np.float32)
+
+
+def _inside(model: Model, size: tuple[int, int], step: int, shape: tuple[int, int]) -> BoolArray:
+    """(h, w) samples of `step` px whose corners a model maps into an image of (H, W)."""
+    x, y = np.meshgrid(*(np.arange(n + 1, dtype=np.float64) * step - 0.5 for n in size))
+    at = model(np.column_stack([x.ravel(), y.ravel()])).reshape(*x.shape, 2)
+    good: BoolArray = np.all((at >= -0.5) & (at <= np.array(shape[::-1]) - 0.5), axis=2)
+    return np.asarray(good[1:, 1:] & good[1:, :-1] & good[:-1, 1:] & good[:-1, :-1])
 
 
 def _covered(mask: BoolArray, model: Model, shape: tuple[int, int]) -> BoolArray:

@@ -20,7 +20,7 @@ from featreg.types import BoolArray, FloatArray, Gate, Image
 #: Tie points within this of a model follow it, px; those of another model lie farther from it than the second.
 WITHIN_PX, APART_PX = 3.0, 6.0
 #: Most tie points, and most hypotheses, among which the second model is sought; a tenth that agree are found.
-SAMPLE, HYPOTHESES = 1500, 400
+SAMPLE, HYPOTHESES = 1000, 400
 #: Displacements of windows lie within this of a motion of their own, px, and so many of those that contradict the model
 #: must follow the second motion for there to be one.
 MOTION_PX, FOLLOW = 1.5, 0.7
@@ -31,12 +31,18 @@ TURNED_DEG = 1.0
 #: Least correlation of the whole images at which their intensities can be compared: for local displacements, and for
 #: other shifts of the whole. Optical against SAR has mostly less.
 COMPARABLE, DECISIVE = 0.2, 0.4
+#: Value of the gate `scene` from which on the images agree nearly everywhere.
+SURE = 0.5
 #: Correlation of a window that shows the same object; where the best has less, the images differ everywhere.
 SAME_OBJECT = 0.9
 
 
 def rival_gate(
-    draft: Draft, shapes: tuple[tuple[int, int], tuple[int, int]], limits: Limits, seed: int
+    draft: Draft,
+    shapes: tuple[tuple[int, int], tuple[int, int]],
+    limits: Limits,
+    seed: int,
+    scene: Gate | None = None,
 ) -> dict[str, Gate]:
     """The support of the next best model among all tie points of the matcher, over that of the model.
 
@@ -46,6 +52,9 @@ def rival_gate(
     if isinstance(model, FailedFit):
         return {}
     rows = np.flatnonzero(draft.putative)
+    if scene is not None and scene.value is not None and scene.value >= SURE and "identical" in draft.stages:
+        # The images agree elsewhere too, so what stands still with identical pixels is no rival.
+        rows = rows[draft.stages["identical"][rows]]
     away = model.residuals(matches.reference_xy[rows], matches.secondary_xy[rows])
     first, left = rows[away <= WITHIN_PX], rows[away > APART_PX]
     share, words = 0.0, ""
@@ -114,8 +123,8 @@ def agreement_gates(
         return gates
     whole, other, shift, turned = agreement.whole
     windows = agreement.windows
-    elsewhere = agreement.elsewhere
-    if elsewhere is not None and windows.at_model.max() >= SAME_OBJECT:
+    elsewhere = agreement.elsewhere if windows.at_model.max() >= SAME_OBJECT else None
+    if elsewhere is not None:
         gates["scene"] = Gate(
             elsewhere,
             low=limits.scene,

@@ -15,12 +15,14 @@ LEAST, MOST = 20, 0.7
 EXCESS = 4.0
 #: Share of a 9 x 9 square that is identical where an area is, whatever its values.
 DENSE = 0.6
+#: Share of the black pixels of either image that are black in both, where they were drawn.
+SHARED_DARK = 0.7
 #: Side of the squares whose means are compared around the identical pixels, and how alike they are where the images
 #: show the same place: 0.32 to 0.9 on pairs of one place on one grid, years apart; below 0.08 on other places.
 BLOCK, ALIKE = 8, 0.2
 #: Correlation of the finest detail from which on it is shared: speckle of two dates has below 0.1, and below 0.02 on
 #: other places. Side of the middle part that is looked at, px.
-PATTERN, CROP = 0.12, 256
+PATTERN, CROP = 0.12, 160
 #: Tie points that move by less than this stand still as the identical pixels do, px.
 STILL_PX = 2.0
 
@@ -57,6 +59,10 @@ def _beyond_chance(same: BoolArray, a: F32, b: F32) -> BoolArray:
     """Of the pixels that are equal, those in areas where nearly all are, or of values that meet too often."""
     import cv2
 
+    dark, both = same & (a == 0), max(np.count_nonzero(a == 0), np.count_nonzero(b == 0))
+    if np.count_nonzero(dark) < SHARED_DARK * both:
+        # Shadow and calm water quantised to 0 overlap by chance; what was drawn in black has one outline.
+        same = same & ~dark
     dense = cv2.boxFilter(same.astype(np.float32), -1, (9, 9), borderType=cv2.BORDER_REPLICATE) >= DENSE
     values, counts = np.unique(a[same], return_counts=True)
     often = values[counts >= LEAST]

@@ -240,7 +240,7 @@ class Pipeline:
         """
         shapes = reference_shape, chance_shape
         with stage("trust"):
-            competing = rival_gate(draft, shapes, self.limits, seed)
+            competing = rival_gate(draft, shapes, self.limits, seed, (further or {}).get("scene"))
         status, reason, gates = judged(
             draft,
             shapes,
