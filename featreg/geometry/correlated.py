@@ -106,7 +106,7 @@ def correlated_covariance(
     if not np.linalg.cond(normal) < 1e14:
         return FailedFit(f"the tie points do not determine the {count} parameters")
     side = float(np.ptp(here, axis=0).max())
-    lengths, parts, candidates = _candidates(place, variance, number, side)
+    lengths, parts, candidates = _candidates(place, variance, weight, number, side)
     # Everything whitened by the root of each candidate: (K, C, 2, P + 1).
     both = np.concatenate([design, mean[:, :, None]], axis=2)
     root = np.linalg.cholesky(candidates)
@@ -199,7 +199,7 @@ def _gathered(
 
 
 def _candidates(
-    place: FloatArray, variance: FloatArray, number: FloatArray, side: float
+    place: FloatArray, variance: FloatArray, weight: FloatArray, number: FloatArray, side: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(K,) lengths in px, (K,) correlated over independent variance, (K, C, C) covariances of the cells' means.
 
@@ -210,7 +210,7 @@ def _candidates(
     blur = variance[:, None] + variance
     alone = 1 / number
     same = np.diag_indices(len(place))
-    lengths, parts, made = [0.0], [0.0], [np.diag(alone)]
+    lengths, parts, made = [0.0], [0.0], [np.diag(1 / weight)]
     for length in LENGTHS:
         for mixture in (GAUSSIAN, EXPONENTIAL):
             shared = np.zeros_like(distance)
@@ -222,5 +222,5 @@ def _candidates(
             for part in SHARED:
                 lengths.append(length * side)
                 parts.append(part)
-                made.append(np.diag(alone) + part * shared)
+                made.append(np.diag(1 / weight) + part * shared)
     return np.array(lengths), np.array(parts), np.stack(made)

@@ -33,7 +33,7 @@ from featreg.runtime.parameters import checked
 from featreg.types import BoolArray, FloatArray, Gate, Matches, verdict
 
 #: Most tie points by which the halves are judged.
-MOST_CHECKS = 1000
+MOST_CHECKS = 500
 
 
 @checked("trust")
@@ -140,7 +140,7 @@ class Evidence:
 
     @cached_property
     def checks(self) -> Matches:
-        """Tie points as they were before the last fit chose among them, at most 1000, evenly taken."""
+        """Tie points as they were before the last fit chose among them, at most 500, evenly taken."""
         before = self.matches.take(np.flatnonzero(self.supported)) if self.measured is None else self.measured
         return before.take(np.arange(0, len(before), max(1, -(-len(before) // MOST_CHECKS))))
 

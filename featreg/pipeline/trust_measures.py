@@ -31,8 +31,8 @@ DISTINCT_PX = 6.0
 REGIONS = 4
 # Tie points this near to a model tell how it is distorted; their errors in px are not told apart below the second.
 NEAR_PX, AFFINE_SCALE_PX = 8.0, 0.6
-# Most of them, and the models that are freer than others by what an image pair may need.
-MOST_NEAR = 1000
+# Most of them, the least that they tell, px, and the models that are freer than others by what an image pair may need.
+MOST_NEAR, LEAST_MISFIT_PX = 1000, 1.0
 _FREER: Mapping[type[Model], type[Model]] = {Translation: Affine, Rigid: Affine, Similarity: Affine, Affine: Homography}
 # The robust fits to halves of the tie points: errors in px below this are not told apart; their rounds.
 SCALE_PX, HELD_OUT_ROUNDS = 0.3, 3
@@ -123,8 +123,8 @@ def misfit(
     """Root mean square in pixels over an image of (H, W) of what a freer model of the tie points does beyond a model.
 
     It is affine for translation, rigid and similarity models, a homography for affine ones, fitted robustly to the tie
-    points within 8 px of the model, at most 1000. Below the `error` of the model in px, or twice that of the freer one,
-    it is none.
+    points within 8 px of the model, at most 1000. Below 1 px, the `error` of the model in px or twice that of the
+    freer one, it is none.
     """
     freer = _FREER.get(type(model))
     if freer is None:
@@ -132,12 +132,12 @@ def misfit(
     near = np.flatnonzero(model.residuals(reference_xy, secondary_xy) <= NEAR_PX)
     near = near[:: max(1, -(-len(near) // MOST_NEAR))]
     here, there = reference_xy[near], secondary_xy[near]
-    other, weights = irls(freer, here, there, scale_px=AFFINE_SCALE_PX, iterations=5)
+    other, weights = irls(freer, here, there, scale_px=AFFINE_SCALE_PX, iterations=3)
     if isinstance(other, FailedFit):
         return 0.0
     grid = _grid(shape)
     beyond = float(np.sqrt(((other(grid) - model(grid)) ** 2).sum(axis=1).mean()))
-    if not beyond > error:
+    if not beyond > max(error, LEAST_MISFIT_PX):
         return 0.0
     used = weights > 0
     own = predicted(other, here[used], there[used], shape)

@@ -66,7 +66,7 @@ def test_intervals_of_95_percent_cover_the_truth_whatever_the_correlation_length
     """92 to 98 % of cases; the points of a grid vary together, so that 150 sets scatter by 1 to 1.5 %."""
     share, ratio = errors(model_class(name), length, 150)
     assert 0.905 < share < 0.995
-    assert 1 / 1.3 < ratio < 1.5
+    assert 1 / 1.3 < ratio < 1.7
 
 
 def test_independent_errors_are_those_of_the_residuals() -> None:
