@@ -57,6 +57,10 @@ class Limits:
         translation, rigid or similarity model, at most; inf for no such gate
     dilution : error of the model over the image for an error of one pixel per place of tie points, at most; inf for no
         such gate
+    block_share : of a scene's blocks with content, the share that must hold a final tie point
+    held_out_rmse_px : of a scene, RMSE of each half of its blocks from the model of the other, at most
+    block_error_px : of a scene, median distance of a block's own tie points from the model, at most, in all blocks but
+        the worst twentieth
     rival : distinct tie points of the next best model over those of the model, at most; half of it where a refinement
         found nothing
     local : share of the image that moves otherwise than the model, at most; half of it where a refinement found nothing
