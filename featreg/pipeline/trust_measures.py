@@ -32,7 +32,7 @@ REGIONS = 4
 # Tie points this near to a model tell how it is distorted; their errors in px are not told apart below the second.
 NEAR_PX, AFFINE_SCALE_PX = 8.0, 0.6
 # Most of them, the least that they tell, px, and the models that are freer than others by what an image pair may need.
-MOST_NEAR, LEAST_MISFIT_PX = 1000, 1.0
+MOST_NEAR, LEAST_MISFIT_PX = 300, 1.0
 _FREER: Mapping[type[Model], type[Model]] = {Translation: Affine, Rigid: Affine, Similarity: Affine, Affine: Homography}
 # The robust fits to halves of the tie points: errors in px below this are not told apart; their rounds.
 SCALE_PX, HELD_OUT_ROUNDS = 0.3, 3
@@ -123,7 +123,7 @@ def misfit(
     """Root mean square in pixels over an image of (H, W) of what a freer model of the tie points does beyond a model.
 
     It is affine for translation, rigid and similarity models, a homography for affine ones, fitted robustly to the tie
-    points within 8 px of the model, at most 1000. Below 1 px, the `error` of the model in px or twice that of the
+    points within 8 px of the model, at most 300. Below 1 px, the `error` of the model in px or twice that of the
     freer one, it is none.
     """
     freer = _FREER.get(type(model))
