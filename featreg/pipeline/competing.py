@@ -33,6 +33,9 @@ TURNED_DEG = 1.0
 COMPARABLE, DECISIVE = 0.2, 0.4
 #: Value of the gate `scene` from which on the images agree nearly everywhere.
 SURE = 0.5
+#: Value of that gate below which the images agree in a few places only, and the share of the limit of `alias` to which
+#: these are held: a single target has 0.08 and turns onto itself by 0.75; scenes have 0.3 and more.
+CONFINED, FEW_PLACES = 0.15, 0.875
 #: Correlation of a window that shows the same object; where the best has less, the images differ everywhere.
 SAME_OBJECT = 0.9
 
@@ -135,7 +138,7 @@ def agreement_gates(
         which = "after half a turn" if turned > other else f"when moved by dx {shift[0]:+.0f}, dy {shift[1]:+.0f} px"
         gates["alias"] = Gate(
             max(other, turned) / whole,
-            high=limits.alias,
+            high=limits.alias if elsewhere is None or elsewhere >= CONFINED else FEW_PLACES * limits.alias,
             meaning=f"correlation of the aligned images {which}, the best of all others, over that of the model; what "
             "repeats or is symmetric has no one model",
         )

@@ -76,18 +76,18 @@ class Limits:
     held_out_px: float = 2.0
     scale: float = 2.5
     anisotropy: float = 1.5
-    uncertainty_px: float = 2.0
+    uncertainty_px: float = 2.5
     block_share: float = 0.1
     held_out_rmse_px: float = 2.0
     block_error_px: float = 2.0
     stability_px: float = 1.5
     distortion_px: float = math.inf
     dilution: float = math.inf
-    # Of pairs of one place, also years apart: at most 0.3, 0.06, 0.58, and at least 0.15. Of two motions, relief,
-    # repeated patterns and labels on other places: from 0.47, 0.1 and 0.75 on, and at most 0.05.
+    # Of pairs of one place, also years apart: at most 0.3, 0.06, 0.75, and at least 0.15. Of two motions, relief,
+    # repeated patterns and labels on other places: from 0.47, 0.1 and 0.8 on, and at most 0.05.
     rival: float = 0.4
     local: float = 0.1
-    alias: float = 0.7
+    alias: float = 0.8
     scene: float = 0.06
     identical: float = 0.5
 
