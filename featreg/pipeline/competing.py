@@ -34,7 +34,7 @@ COMPARABLE, DECISIVE = 0.2, 0.4
 #: Value of the gate `scene` from which on the images agree nearly everywhere.
 SURE = 0.5
 #: Value of that gate below which the images agree in a few places only, and the share of the limit of `alias` to which
-#: these are held: a single target has 0.08 and turns onto itself by 0.75; scenes have 0.3 and more.
+#: these are held: a single target has 0.08 and turns onto itself by 0.75; scenes have 0.15 and more.
 CONFINED, FEW_PLACES = 0.15, 0.875
 #: Correlation of a window that shows the same object; where the best has less, the images differ everywhere.
 SAME_OBJECT = 0.9

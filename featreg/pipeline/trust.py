@@ -84,7 +84,7 @@ class Limits:
     distortion_px: float = math.inf
     dilution: float = math.inf
     # Of pairs of one place, also years apart: at most 0.3, 0.06, 0.75, and at least 0.15. Of two motions, relief,
-    # repeated patterns and labels on other places: from 0.47, 0.1 and 0.8 on, and at most 0.05.
+    # repeated patterns and labels on other places: from 0.47, 0.1 and 0.86 on, and at most 0.05.
     rival: float = 0.4
     local: float = 0.1
     alias: float = 0.8

@@ -53,7 +53,8 @@ COMPETING: Mapping[str, GateText] = {
     ),
     "alias": GateText(
         "how well the aligned images correlate at the best other shift, or after half a turn, over that of the model",
-        "on pairs of one place no other shift comes near the model's",
+        "on pairs of one place the best other shift has at most 0.75 of the model's, repeated patterns 0.86 or more; "
+        "where the images agree in a few places only the limit is 0.7",
         "a pattern that repeats (fields, blocks of houses, a grid), moved by a whole period, or a symmetric scene",
         (REPEATED, "larger cut-outs, with something in them that does not repeat"),
     ),
