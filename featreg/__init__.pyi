@@ -4,6 +4,7 @@ from ._version import __version__ as __version__
 from .errors import FeatregError as FeatregError
 from .exports.formats import export as export
 from .exports.formats import read_tie_points as read_tie_points
+from .fitting import fit as fit
 from .focusing.backprojection import GroundGrid as GroundGrid
 from .focusing.backprojection import back_project as back_project
 from .focusing.backprojection import carrier as carrier
@@ -21,7 +22,6 @@ from .interfaces import Model as Model
 from .interfaces import Nearest as Nearest
 from .interop.extraction import extractor as extractor
 from .io.images import as_image as as_image
-from .matching import fit as fit
 from .matching import match as match
 from .pipeline.feature_matcher import FeatureMatcher as FeatureMatcher
 from .pipeline.pipeline import Pipeline as Pipeline

@@ -1,17 +1,17 @@
-"""The main job as functions: match two images, fit the user's own tie points."""
+"""The main job as a function: match two images."""
 
 from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from featreg.errors import InputError, ParameterError
+from featreg.errors import ParameterError
 from featreg.focusing.inputs import Focus, check_method, focused_input, focused_inputs
 from featreg.geometry import as_model
 from featreg.interfaces import Matcher, Model
@@ -19,20 +19,21 @@ from featreg.io import ImageLike, as_image
 from featreg.io.images import small_image
 from featreg.io.masks import MaskLike
 from featreg.io.raster_source import open_source
-from featreg.pipeline.assembly import DEFAULT_METHOD, assemble, assemble_fit
+from featreg.pipeline.assembly import DEFAULT_METHOD, assemble_all
+from featreg.pipeline.choosing import first_trusted
 from featreg.pipeline.feature_matcher import FeatureMatcher
 from featreg.pipeline.keywords import of_pipeline
 from featreg.pipeline.pipeline import Pipeline
-from featreg.results.input_image import InputImage
 from featreg.results.registration import Registration
 from featreg.runtime.cluster import dask_client
 from featreg.runtime.executors import check_executor
+from featreg.runtime.parameters import check_seed
 from featreg.runtime.threads import limited_threads, worker_count
 from featreg.runtime.timing import collecting, stage
 from featreg.runtime.watching import Canceller, Progress, cancellable, check_watch
 from featreg.sar.bridging import bridged, on_sample
 from featreg.scene.blocks import BLOCK
-from featreg.types import FloatArray, Image, Matches
+from featreg.types import FloatArray, Image
 
 #: Images of more pixels are worked on in blocks.
 MOST_PIXELS = 4_000_000
@@ -73,7 +74,8 @@ def match(
     Parameters
     ----------
     reference, secondary : paths, 2-D arrays (real or complex) or `Image`
-    method : a preset's name (`featreg.available("method")`), a `Pipeline` or a `Matcher`
+    method : a preset's name (`featreg.available("method")`), a `Pipeline` or a `Matcher`; "auto" tries several presets
+        and stops at the first that is trusted, `progress` then counts each anew
     model : "translation", "rigid", "similarity", "affine" (default), "homography", "polynomial2", "polynomial3",
         "residual-field"; "rpc-bias" in blocks
     seed : of everything random; the same seed gives the same result
@@ -138,11 +140,13 @@ def match(
         from featreg.scene.run import SceneOptions, match_scene
 
         here, there = (open_source(i, mask=m, **reading) for i, m in zip(given, masks, strict=True))
-        pipeline = assemble(method, blocks=True, **parts)
+        pipelines = assemble_all(method, blocks=True, **parts)
         with dask_client(scheduler, executor) as runner:
             options = SceneOptions(size or BLOCK, runner, workers, dem, height, resume, progress, cancel)
-            return match_scene(here, there, pipeline, options, **search)
-    pipeline = assemble(method, **parts)
+            return _registered(
+                method, pipelines, lambda pipeline: match_scene(here, there, pipeline, options, **search)
+            )
+    pipelines = assemble_all(method, **parts)
     if resume is not None:
         logger.warning("the images are matched whole, so nothing is kept in '%s': give block= for blocks", resume)
     focusing: dict[str, Any] = {}
@@ -151,7 +155,8 @@ def match(
             with collecting() as focused, stage("focus"):
                 first, second, focusing["focus"] = focused_inputs(first, second, focus)
             seconds |= focused
-        result = pipeline.run(first, second, progress=progress, **search)
+        pair = first, second
+        result = _registered(method, pipelines, lambda pipeline: pipeline.run(*pair, progress=progress, **search))
     return replace(
         result,
         timings={**seconds, **result.timings},
@@ -159,41 +164,11 @@ def match(
     )
 
 
-def fit(
-    points: Matches | Any,
-    *,
-    model: str | type[Model] | None = None,
-    filters: Any = ("fsc",),
-    seed: int = 0,
-    reference_shape: tuple[int, int] | None = None,
-    secondary_shape: tuple[int, int] | None = None,
-    **keywords: Any,
+def _registered(
+    method: str | Pipeline | Matcher, pipelines: Sequence[Pipeline], attempt: Callable[[Pipeline], Registration]
 ) -> Registration:
-    """Run filters, model and trust on the user's own tie points.
-
-    Parameters
-    ----------
-    points : `Matches`, an (M, 4) array of reference x, y, secondary x, y in pixels, or a file of tie points
-        (`featreg.read_tie_points`)
-    model, filters, seed, keywords : as in `match`
-    reference_shape, secondary_shape : (H, W); without them the images are taken to begin and end at the outermost tie
-        points, wherever these lie: moved tie points (map coordinates, say) are judged alike
-
-    Returns
-    -------
-    Registration
-    """
-    check_seed(seed)
-    matches = points if isinstance(points, Matches) else _as_matches(points)
-    pipeline = assemble_fit(model=model, filters=filters, **keywords)
-    frames = [
-        ((0, 0), given) if given is not None else _outer_frame(xy)
-        for given, xy in ((reference_shape, matches.reference_xy), (secondary_shape, matches.secondary_xy))
-    ]
-    origins, shapes = zip(*frames, strict=True)
-    result = pipeline.fit(matches, shapes[0], shapes[1], seed=seed, origins=origins)
-    first, second = (InputImage("tie points", shape) for shape in shapes)
-    return replace(result, reference=first, secondary=second)
+    """The result of the method's only pipeline, or of those among which it chooses."""
+    return attempt(pipelines[0]) if len(pipelines) == 1 else first_trusted(str(method), pipelines, attempt)
 
 
 def keypoints_of(
@@ -209,8 +184,9 @@ def keypoints_of(
 
     `mask` is that of this image; the other keywords are those of `match` that build the pipeline.
     """
-    matcher = assemble(**keywords, blocks=None).matcher
-    if not isinstance(matcher, FeatureMatcher):
+    pipelines = assemble_all(**keywords, blocks=None)
+    matcher = pipelines[0].matcher
+    if len(pipelines) > 1 or not isinstance(matcher, FeatureMatcher):
         return None
     whole = as_image(image, mask=mask, nodata=nodata, scale=scale)
     if focus is not None and whole.is_complex:
@@ -218,12 +194,6 @@ def keypoints_of(
     seen = bridged(whole)
     xy = matcher.detector.detect_features(seen).best(matcher.n_features).xy
     return xy[on_sample(xy, seen)]
-
-
-def check_seed(seed: Any) -> None:
-    """Raise where a seed is no whole number from 0 on."""
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise ParameterError(f"seed must be a whole number >= 0, got {seed!r}")
 
 
 def check_keywords(keywords: Mapping[str, Any]) -> None:
@@ -235,7 +205,7 @@ def check_keywords(keywords: Mapping[str, Any]) -> None:
     if isinstance(known.get("focus"), str):
         check_method(known["focus"])
     _initial(known.get("initial"), known.get("search_radius"))
-    assemble(**of_pipeline(keywords), blocks=None if size is None else bool(size))
+    assemble_all(**of_pipeline(keywords), blocks=None if size is None else bool(size))
 
 
 def _check_running(*, workers: Any, threads: Any, executor: Any, progress: Any, cancel: Any) -> None:
@@ -275,26 +245,3 @@ def _initial(initial: Any, search_radius: float | None) -> Model | None:
     if isinstance(initial, Mapping):
         raise ParameterError("initial must be a model, a matrix or a Registration, got a mapping")
     return as_model(initial)
-
-
-def _as_matches(points: Any) -> Matches:
-    if isinstance(points, str | Path):
-        from featreg.exports.formats import read_tie_points
-
-        return read_tie_points(points)
-    try:
-        array = np.asarray(points, np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"tie points must be Matches or an (M, 4) array of numbers, got {points!r:.40}") from error
-    if array.ndim != 2 or array.shape[1] != 4:
-        raise InputError(f"tie points must be an (M, 4) array of reference x, y, secondary x, y, got {array.shape}")
-    return Matches(array[:, :2], array[:, 2:], np.ones(len(array)))
-
-
-def _outer_frame(xy: FloatArray) -> tuple[tuple[int, int], tuple[int, int]]:
-    """First pixel (x, y) and shape (H, W) of the smallest image that holds all of (M, 2) points."""
-    if not len(xy):
-        return (0, 0), (1, 1)
-    left, top = (int(n) for n in np.floor(xy.min(axis=0)))
-    right, bottom = (int(n) for n in np.ceil(xy.max(axis=0)))
-    return (left, top), (bottom - top + 1, right - left + 1)

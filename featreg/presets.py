@@ -19,6 +19,9 @@ class Part:
 class Preset:
     """A method: either a detector, a descriptor (None where the detector describes) and a nearest, or a matcher.
 
+    Or a choice of methods: `methods` names those that are tried in order until one is trusted, and the other fields say
+    nothing.
+
     `filters` run in order; `refine` says whether refinement is on unless asked otherwise; `common_rotation` is that of
     `FeatureMatcher`; `model` is fitted unless another is asked for (None: the package's default); `robust` is that of
     `Pipeline`; `trust` and `refinement` hold what differs from the defaults of `featreg.pipeline.trust.Limits` and
@@ -37,6 +40,7 @@ class Preset:
     robust: bool = True
     trust: Mapping[str, Any] = field(default_factory=dict)
     refinement: Mapping[str, Any] = field(default_factory=dict)
+    methods: tuple[str, ...] = ()
 
     @property
     def parts(self) -> tuple[tuple[str, Part], ...]:
@@ -164,6 +168,10 @@ _SMNN = Part("kornia-smnn")
 
 
 PRESETS: Mapping[str, Preset] = {
+    "auto": Preset(
+        "The first of sar-orb, rift and optical-sar whose result is trusted",
+        methods=("sar-orb", "rift", "optical-sar"),
+    ),
     "sar-orb": Preset(
         "SAR-OFAST corners on a ROEWA edge pyramid, BRIEF in one common direction, GMS, FSC",
         detector=Part("sar-ofast", _FOUR_LEVELS),

@@ -61,6 +61,8 @@ def _methods() -> Iterator[dict[str, Any]]:
     """Keywords of `match` that run every plugin which compiles something: the presets', and those in no preset."""
     used: set[tuple[str, str]] = set()
     for method, preset in PRESETS.items():
+        if preset.methods:
+            continue  # each has a turn of its own
         steps = [*preset.parts, *(("filter", part) for part in preset.filters)]
         used.update((kind, part.name) for kind, part in steps)
         found = [entry(kind, part.name) for kind, part in steps]

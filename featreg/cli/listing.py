@@ -40,9 +40,11 @@ class Item:
         if self.kind != "method":
             return dict(registry.entry(self.kind, self.name).parameters)
         from featreg.pipeline.assembly import assemble
+        from featreg.presets import PRESETS
 
+        choice = PRESETS[self.name].methods
         try:
-            return dict(assemble(self.name).parameters)
+            return {"methods": list(choice)} if choice else dict(assemble(self.name).parameters)
         except FeatregError:
             return {}
 
@@ -58,6 +60,8 @@ class Item:
         from featreg.runtime.parameters import declared
 
         preset = PRESETS[self.name]
+        if preset.methods:
+            return {}  # those of each method are listed under its own name
         parts = {role: registry.entry(role, part.name).declared for role, part in preset.parts}
         parts |= {part.name: registry.entry("filter", part.name).declared for part in preset.filters}
         parts |= {"refine": declared(Refine), "trust": declared(Limits)}

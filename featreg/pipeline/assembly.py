@@ -115,6 +115,20 @@ def assemble(
     return _assembled(name, preset, slots, model, refine, n_features, blocks, bool(common), given)
 
 
+def assemble_all(method: str | Pipeline | Matcher = DEFAULT_METHOD, **keywords: Any) -> tuple[Pipeline, ...]:
+    """Build the pipelines among which a method chooses, in the order in which they are tried; of most methods one.
+
+    Parameters and errors as `assemble`; every one of the methods must take the keywords.
+    """
+    preset = PRESETS.get(method) if isinstance(method, str) else None
+    if preset is None or not preset.methods:
+        return (assemble(method, **keywords),)
+    try:
+        return tuple(assemble(name, **keywords) for name in preset.methods)
+    except ParameterError as error:
+        raise ParameterError(f"'{method}' is a choice of {', '.join(preset.methods)}: {error}") from error
+
+
 def assemble_fit(*, model: str | type[Model] | None, filters: Any, **keywords: Any) -> Pipeline:
     """Build the pipeline of given tie points: filters, model and trust; parameters and errors as `assemble`."""
     preset = Preset("tie points", filters=())
@@ -183,6 +197,10 @@ def _preset(method: str | Matcher) -> tuple[str, Preset]:
         return type(method).__name__, Preset(type(method).__name__)
     if method not in PRESETS:
         raise registry.unknown("method", str(method))
+    if PRESETS[method].methods:
+        raise ParameterError(
+            f"'{method}' is a choice of methods, no pipeline: take one of {', '.join(PRESETS[method].methods)}"
+        )
     return method, PRESETS[method]
 
 

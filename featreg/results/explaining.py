@@ -36,7 +36,8 @@ def explain_registration(registration: Registration) -> str:
     """Return what a registration's verdict rests on, in lines of plain words."""
     kept = {name: int(mask.sum()) for name, mask in registration.stages.items()}
     model = registration.model
-    facts = [f"tie points: {chain(int(registration.putative.sum()), kept)}, {int(registration.inliers.sum())} final"]
+    facts = [f"tried: {one['method']}, {one['status']}" for one in registration.provenance.get("tried", ())]
+    facts += [f"tie points: {chain(int(registration.putative.sum()), kept)}, {int(registration.inliers.sum())} final"]
     if "refine" in kept:
         facts.append(f"refinement: {kept['refine'] or 'no'} sub-pixel tie points around the first model")
     facts.append(f"model: none, {model.reason}" if isinstance(model, FailedFit) else f"model: {type(model).__name__}")

@@ -245,3 +245,9 @@ def _annotation(thing: Callable[..., Any], name: str, text: Any) -> Any:
 
 def _or(words: list[str]) -> str:
     return " or ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
+
+
+def check_seed(seed: Any) -> None:
+    """Raise where a seed is no whole number from 0 on."""
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise ParameterError(f"seed must be a whole number >= 0, got {seed!r}")

@@ -109,14 +109,15 @@ def _code(keywords: Mapping[str, Any]) -> list[str]:
 
 def _modules(keywords: Mapping[str, Any]) -> set[str]:
     """The modules of the plugins of a method; those of all plugins where the method cannot be built."""
-    from featreg.pipeline.assembly import assemble
+    from featreg.pipeline.assembly import assemble_all
 
     try:
-        pipeline = assemble(**of_pipeline(keywords), blocks=None)
+        pipelines = assemble_all(**of_pipeline(keywords), blocks=None)
     except (FeatregError, TypeError):
         return {found.module for kind in KINDS for found in entries(kind)}
-    plugins = [pipeline.matcher, *(keeper for _, keeper in pipeline.filters)]
-    return {module for plugin in plugins if plugin is not None for module in _of(plugin)} | {pipeline.model.__module__}
+    plugins = [part for made in pipelines for part in (made.matcher, *(keeper for _, keeper in made.filters))]
+    modules = {module for plugin in plugins if plugin is not None for module in _of(plugin)}
+    return modules | {made.model.__module__ for made in pipelines}
 
 
 def _of(plugin: Plugin) -> set[str]:

@@ -140,6 +140,12 @@ def test_options_reach_the_pipeline(run: Run, tmp_path: Path) -> None:
     assert (parameters["detector"]["n_levels"], parameters["ransac"]["threshold"]) == (6, 2.5)
 
 
+def test_a_choice_of_methods_says_what_it_tried(run: Run) -> None:
+    code, out, _ = run("match", "ref.tif", "sec.tif", "--method", "auto")
+    assert code == 0
+    assert "  method      sar-orb, seed 0\n  tried       sar-orb ok\n" in out
+
+
 def test_masks_and_initial(run: Run, tmp_path: Path) -> None:
     target = tmp_path / "out.json"
     masks = ["--mask-reference", "mask.tif", "--mask-secondary", "mask.tif"]

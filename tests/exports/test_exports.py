@@ -15,10 +15,10 @@ from featreg.cli.main import main
 from featreg.errors import InputError, ParameterError
 from featreg.exports.colmap import pair_id
 from featreg.exports.formats import FORMATS, export, read_tie_points
+from featreg.fitting import fit
 from featreg.geometry import Affine
 from featreg.interfaces import FailedFit
 from featreg.io import write_geotiff
-from featreg.matching import fit
 from featreg.results.input_image import InputImage
 from featreg.results.registration import Registration
 from featreg.study.truth import read_truth

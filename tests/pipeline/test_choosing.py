@@ -1,0 +1,88 @@
+"""The choice of a method: the first that is trusted, and what is said of the others."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import featreg
+from featreg.errors import ParameterError
+from featreg.matching import check_keywords, keypoints_of
+from featreg.pipeline.assembly import assemble, assemble_all
+from featreg.pipeline.choosing import first_trusted
+from featreg.presets import PRESETS
+from featreg.results.explaining import explain_registration
+from featreg.simulate import SimulatedPair
+
+
+def attempts(method: str) -> tuple[list[str], featreg.Registration]:
+    """The methods that a choice of three tries, and its result, on stand-ins of which only `method` is trusted."""
+    shape = (100, 100)
+    xy = np.stack(np.meshgrid(np.linspace(5, 95, 8), np.linspace(5, 95, 8)), -1).reshape(-1, 2)
+    good = featreg.fit(np.column_stack([xy, xy + 1]), model="affine", reference_shape=shape, secondary_shape=shape)
+    few = featreg.fit(np.column_stack([xy, xy + 1])[::6], model="affine", reference_shape=shape, secondary_shape=shape)
+    none = featreg.fit(np.zeros((0, 4)), model="affine", reference_shape=shape, secondary_shape=shape)
+    assert (good.status, few.status, none.status) == ("ok", "unreliable", "unreliable")
+    names = ["orb", "akaze", "brisk"]
+    seen: list[str] = []
+
+    def attempt(pipeline: featreg.Pipeline) -> featreg.Registration:
+        seen.append(pipeline.name)
+        result = good if pipeline.name == method else few if pipeline.name == "akaze" else none
+        return replace(result, provenance={"method": pipeline.name}, timings={"match": 1.0})
+
+    return seen, first_trusted("any", [assemble(name) for name in names], attempt)
+
+
+def test_the_first_trusted_method_ends_the_search() -> None:
+    seen, found = attempts("akaze")
+    assert seen == ["orb", "akaze"]
+    assert found.status == "ok"
+    assert found.provenance["method"] == "akaze"
+    assert found.provenance["choice"] == "any"
+    assert [(one["method"], one["status"]) for one in found.provenance["tried"]] == [
+        ("orb", "unreliable"),
+        ("akaze", "ok"),
+    ]
+    assert found.timings["match"] == 2.0
+    assert "tried: orb, unreliable" in explain_registration(found)
+
+
+def test_where_none_is_trusted_the_nearest_is_returned_and_all_are_named() -> None:
+    seen, found = attempts("none of them")
+    assert seen == ["orb", "akaze", "brisk"]
+    assert found.status == "unreliable"
+    assert found.provenance["method"] == "akaze"  # it has a model, the others none
+    assert found.reason.startswith("none of orb, akaze, brisk is trusted; akaze: ")
+    assert all(one["reason"] for one in found.provenance["tried"])
+
+
+def test_an_easy_pair_needs_the_first_method_only(pair: SimulatedPair, tmp_path: Path) -> None:
+    first = PRESETS["auto"].methods[0]
+    found = featreg.match(pair.reference, pair.secondary, method="auto")
+    alone = featreg.match(pair.reference, pair.secondary, method=first)
+    assert found.status == "ok"
+    assert [one["method"] for one in found.provenance["tried"]] == [first]
+    np.testing.assert_array_equal(found.matches.secondary_xy, alone.matches.secondary_xy)
+    found.to_json(tmp_path / "result.json")
+    assert featreg.Registration.from_json(tmp_path / "result.json").provenance["choice"] == "auto"
+
+
+def test_keywords_go_to_every_method_or_none() -> None:
+    made = assemble_all("auto", model="similarity", n_features=700)
+    assert [pipeline.name for pipeline in made] == list(PRESETS["auto"].methods)
+    assert {pipeline.parameters["model"] for pipeline in made} == {"similarity"}
+    check_keywords({"method": "auto", "refine": False})
+    with pytest.raises(ParameterError, match=r"'auto' is a choice of .*fsc_threshold"):
+        assemble_all("auto", fsc_threshold=2.0)
+    with pytest.raises(ParameterError, match="choice of methods, no pipeline"):
+        assemble("auto")
+    with pytest.raises(ParameterError, match="common_rotation is for methods"):
+        assemble_all("auto", common_rotation=False)
+
+
+def test_a_choice_has_no_keypoints_of_its_own(pair: SimulatedPair) -> None:
+    assert keypoints_of(pair.reference, method="auto") is None
