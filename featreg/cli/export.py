@@ -10,7 +10,7 @@ import typer
 from featreg.cli.options import check_name, check_output
 
 #: Held beside `featreg.exports.formats` by a test, so that help needs no import of it.
-NAMES = ("csv", "parquet", "gdal", "qgis", "envi", "colmap", "rpc")
+NAMES = ("csv", "parquet", "gdal", "qgis", "envi", "colmap", "rpc", "geojson", "gpkg", "geoparquet")
 
 
 def export(
@@ -24,7 +24,8 @@ def export(
             "--output",
             "-o",
             metavar="FILE",
-            help="File to write: .csv, .parquet, .vrt .tif or .txt (gdal), .points, .pts, .db, _RPC.TXT or .RPB.",
+            help="File to write: .csv, .parquet, .vrt .tif or .txt (gdal), .points, .pts, .db, _RPC.TXT or .RPB, "
+            ".geojson, .gpkg.",
             show_default=False,
         ),
     ],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -80,6 +81,15 @@ def warp(
     coherence_window: Annotated[
         int, typer.Option("--coherence-window", parser=whole_number(3), metavar="N", help="Side in pixels, odd.")
     ] = 5,
+    stac: Annotated[
+        str | None,
+        typer.Option(
+            "--stac",
+            metavar="TIME",
+            help="Also write a STAC item OUT.json; TIME or START/END: when SEC was acquired (2024-05-01T05:11:20Z).",
+            show_default=False,
+        ),
+    ] = None,
     scale: Annotated[
         str | None,
         typer.Option(
@@ -104,6 +114,9 @@ def warp(
     inputs = [result_file, secondary, *([like] if like else [])]
     check_output(output, "--output", suffixes=[".tif", ".tiff"], inputs=inputs)
     check_output(coherence, "--coherence", suffixes=[".tif", ".tiff"], inputs=inputs)
+    for target in (output, coherence):
+        if stac is not None and target is not None:
+            check_output(str(Path(target).with_suffix(".json")), "--stac", inputs=inputs)
     with limited_threads(workers):
         from featreg.io.scales import SCALES
         from featreg.products.resample import TAPS
@@ -127,6 +140,7 @@ def warp(
             deramp=deramp,
             coherence=coherence,
             coherence_window=coherence_window,
+            stac=stac,
             workers=workers,
             progress=counter(f"resampling '{secondary}'"),
         )
@@ -149,4 +163,4 @@ def _summary(product: Product, output: str, coherence: str | None) -> list[str]:
         lines.append(f"phase ramp: agrees with the samples by {x} along x, {y} along y (1 = wholly)")
     if coherence is not None and product.coherence is not None:
         lines.append(f"written: {coherence}, mean coherence {product.coherence:.3f}")
-    return lines
+    return [*lines, *(f"written: {item}, a STAC item" for item in product.items)]

@@ -34,11 +34,13 @@ OF_IMAGE = (
     f"image_id INTEGER PRIMARY KEY NOT NULL, {BLOB}, "
     "FOREIGN KEY(image_id) REFERENCES images(image_id) ON DELETE CASCADE"
 )
+PRIOR = ", ".join(f"prior_{name} REAL" for name in ("qw", "qx", "qy", "qz", "tx", "ty", "tz"))
 TABLES = {
     "cameras": "camera_id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, model INTEGER NOT NULL, width INTEGER NOT NULL, "
     "height INTEGER NOT NULL, params BLOB, prior_focal_length INTEGER NOT NULL",
+    # COLMAP up to 3.9 asks for the columns of a prior pose, which later versions leave aside.
     "images": "image_id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, name TEXT NOT NULL UNIQUE, camera_id INTEGER NOT "
-    f"NULL, CONSTRAINT image_id_check CHECK(image_id >= 0 AND image_id < {MOST_IMAGES}), "
+    f"NULL, {PRIOR}, CONSTRAINT image_id_check CHECK(image_id >= 0 AND image_id < {MOST_IMAGES}), "
     "FOREIGN KEY(camera_id) REFERENCES cameras(camera_id)",
     "keypoints": OF_IMAGE,
     "descriptors": OF_IMAGE,
@@ -69,7 +71,9 @@ def write(content: Content, path: Path) -> None:
             params = np.array([FOCAL * max(height, width, 1), width / 2, height / 2])
             row = (number, SIMPLE_PINHOLE, width, height, _blob(params, "<f8"), 0)
             database.execute("INSERT INTO cameras VALUES (?, ?, ?, ?, ?, ?)", row)
-            database.execute("INSERT INTO images VALUES (?, ?, ?)", (number, names[number - 1], number))
+            database.execute(
+                "INSERT INTO images (image_id, name, camera_id) VALUES (?, ?, ?)", (number, names[number - 1], number)
+            )
             database.execute(
                 "INSERT INTO keypoints VALUES (?, ?, ?, ?)", (number, count, 2, _blob(xy + PIXEL_OFFSET, "<f4"))
             )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import InputError, ParameterError, suggest
+from featreg.geolocation.geotransform import on_map
 from featreg.interfaces import FailedFit, Model
 from featreg.results.json_file import tie_point_columns
 from featreg.results.registration import Registration
@@ -43,6 +44,7 @@ class Content:
     columns : name -> (M,), all columns of the result's tie-point table
     model : of the result, or why there is none
     reference, secondary : the images
+    verdict : status, reason and method of the result
     """
 
     matches: Matches
@@ -51,6 +53,7 @@ class Content:
     model: Model | FailedFit
     reference: ImageInfo
     secondary: ImageInfo
+    verdict: Mapping[str, str] = field(default_factory=dict)
 
 
 def content_of(
@@ -77,7 +80,9 @@ def content_of(
             registration = replace(registration, model=FailedFit(str(error)))
     columns = {name: values[rows] for name, values in tie_point_columns(registration).items()}
     images = [_info(registration, role, path) for role, path in (("reference", reference), ("secondary", secondary))]
-    return Content(matches, offset, columns, model, *images)
+    method = str(registration.provenance.get("method", ""))
+    verdict = {"status": registration.status, "reason": registration.reason, "method": method}
+    return Content(matches, offset, columns, model, images[0], images[1], verdict)
 
 
 def rows_of(registration: Registration, stage: str) -> BoolArray:
@@ -128,13 +133,6 @@ def _info(registration: Registration, role: str, given: str | Path | None) -> Im
             f"{path}: {shape[1]} x {shape[0]} pixels, but the {role} of the result was {size[1]} x {size[0]}"
         )
     return ImageInfo(path, shape, now if given is not None or place is None else place)
-
-
-def on_map(transform: tuple[float, ...], xy: FloatArray) -> FloatArray:
-    """Return the map coordinates (M, 2) of points of an image with this geotransform (GDAL's, from pixel corners)."""
-    a, b, c, d, e, f = transform
-    x, y = (xy + 0.5).T
-    return np.column_stack([a * x + b * y + c, d * x + e * y + f])
 
 
 @dataclass(frozen=True, eq=False)

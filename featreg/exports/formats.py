@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from featreg.errors import InputError, ParameterError, suggest
-from featreg.exports import colmap, csv, envi, gdal, npy, parquet, qgis, rpc
+from featreg.exports import colmap, csv, envi, gdal, geojson, geoparquet, gpkg, npy, parquet, qgis, rpc
 from featreg.exports.content import Content, content_of
 from featreg.io.writers import replacing
 from featreg.products.grid import inputs_of
@@ -35,6 +35,9 @@ FORMATS: Mapping[str, Format] = {
     "envi": Format((".pts",), envi.write),
     "colmap": Format((".db",), colmap.write),
     "rpc": Format(("_rpc.txt", ".rpb"), rpc.write),
+    "geojson": Format((".geojson", ".json"), geojson.write),
+    "gpkg": Format((".gpkg",), gpkg.write),
+    "geoparquet": Format((".parquet", ".geoparquet"), geoparquet.write),
 }
 
 
@@ -53,7 +56,8 @@ def export(
     ----------
     registration : the result, or its JSON file
     path : file to write, replaced if it exists; it appears whole or not at all
-    to : "csv", "parquet", "gdal" (suffix .vrt, .tif or .txt), "qgis", "envi", "colmap" or "rpc"
+    to : "csv", "parquet", "gdal" (suffix .vrt, .tif or .txt), "qgis", "envi", "colmap", "rpc", or with arrows, error
+        ellipses and the images' outlines "geojson", "gpkg" or "geoparquet" (the latter two: ``featreg[vectors]``)
     stage : "inliers", the name of a filter, or "all"
     reference, secondary : the images' files, where they are no longer where the result says
 

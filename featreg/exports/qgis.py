@@ -14,7 +14,8 @@ import numpy as np
 
 from featreg.errors import InputError
 from featreg.exports.columns import lines_of, matches_of_array, numbers
-from featreg.exports.content import Content, ground_of, on_map
+from featreg.exports.content import Content, ground_of
+from featreg.geolocation.geotransform import on_map
 from featreg.types import FloatArray, Matches
 
 PIXEL_OFFSET = 0.5
@@ -33,11 +34,14 @@ def write(content: Content, path: Path) -> None:
     ground = ground_of(content.reference, content.matches.reference_xy, content.model)
     place = (content.matches.reference_xy + PIXEL_OFFSET) * (1, -1) if ground is None else ground.xyz[:, :2]
     offset = np.nan_to_num(content.offset)
+    # QGIS takes dY = -(y of its transform - y of the point) in what it holds for pixels: rows that count upwards from
+    # the top edge, but downwards of an image that has a geotransform of its own.
+    down = -1 if where is not None and where.transform is not None else 1
     lines = [HEADER]
     if ground is not None and ground.crs:
         lines.insert(0, f"#CRS: {_wkt(ground.crs)}")
     for (mx, my), (sx, sy), (dx, dy) in zip(place.tolist(), source.tolist(), offset.tolist(), strict=True):
-        lines.append(f"{mx!r},{my!r},{sx!r},{sy!r},1,{dx:.6g},{-dy:.6g},{np.hypot(dx, dy):.6g}")
+        lines.append(f"{mx!r},{my!r},{sx!r},{sy!r},1,{dx:.6g},{down * dy:.6g},{np.hypot(dx, dy):.6g}")
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 

@@ -73,3 +73,10 @@ class GeotransformSensor(Sensor):
     def _map(self) -> Projection:
         projection: Projection = self.__dict__["_projection"]
         return projection
+
+
+def on_map(transform: tuple[float, ...], xy: FloatArray) -> FloatArray:
+    """Return the map coordinates (M, 2) of points of an image with this geotransform (GDAL's, from pixel corners)."""
+    a, b, c, d, e, f = transform
+    x, y = (xy + 0.5).T
+    return np.column_stack([a * x + b * y + c, d * x + e * y + f])

@@ -27,6 +27,7 @@ from featreg.products.lattice import Lattice, lattice_of
 from featreg.products.phase_ramp import PhaseRamp, estimate_phase_ramp
 from featreg.products.resample import TAPS, Support
 from featreg.products.samples import Encoding, encoding_of
+from featreg.products.stac import SampleKind, acquired, check_item, write_item
 from featreg.results.registration import Registration
 from featreg.runtime.watching import Canceller, Progress
 from featreg.types import BoolArray
@@ -49,6 +50,7 @@ class Product:
     valid : share of pixels that are data in the first band
     ramp : the phase ramp that was taken out for the interpolation, if asked for
     coherence : mean coherence with the reference over the scene, if asked for
+    items : STAC items that were written beside the product and its coherence, if asked for
     """
 
     path: Path
@@ -60,6 +62,7 @@ class Product:
     valid: float
     ramp: PhaseRamp | None = None
     coherence: float | None = None
+    items: tuple[Path, ...] = ()
 
 
 def warp_file(
@@ -76,6 +79,7 @@ def warp_file(
     deramp: bool = False,
     coherence: str | Path | None = None,
     coherence_window: int | tuple[int, int] = 5,
+    stac: str | None = None,
     workers: int | None = None,
     progress: Progress | None = None,
     cancel: Canceller | None = None,
@@ -97,6 +101,8 @@ def warp_file(
     deramp : estimate the phase ramp of complex samples (TOPS), interpolate without it and put it back
     coherence : GeoTIFF to write the coherence with the reference to; both images must be complex
     coherence_window : of `featreg.coherence`
+    stac : when the secondary was acquired (ISO 8601, UTC unless it names a zone; START/END for an interval): write a
+        STAC item beside each product, under its name with ``.json``
     workers : threads; default: one per core, at most 8
     progress : called with (windows done, windows in all)
     cancel : an event that stops the work
@@ -108,7 +114,8 @@ def warp_file(
     Raises
     ------
     InputError
-        No model, an unreadable file, another footprint, an output that is an input or cannot be written.
+        No model, an unreadable file, another footprint, an output that is an input or cannot be written; a STAC item
+        without georeferencing.
     ParameterError
         An unknown resampling, a band that the file lacks, `deramp` or `coherence` without complex samples.
     CancelledError
@@ -120,6 +127,7 @@ def warp_file(
     (`featreg.products.samples.Encoding`). Intensity and decibels are interpolated as amplitude and turned back.
     Overviews are averages, of complex samples every n-th.
     """
+    given = registration
     if isinstance(registration, str | Path):
         registration = Registration.from_json(registration)
     if resampling not in TAPS:
@@ -130,9 +138,12 @@ def warp_file(
     window_size(coherence_window)
     if coherence is not None and Path(coherence).absolute() == output.absolute():
         raise InputError(f"{coherence}: is also the output, the coherence needs a file of its own")
-    for target in (output, coherence):
-        if target is not None:
-            refuse_input(Path(target), inputs)
+    targets = [Path(target) for target in (output, coherence) if target is not None]
+    when = None if stac is None else acquired(stac)
+    for target in targets:
+        refuse_input(target, inputs)
+        if when is not None:
+            check_item(target, grid.geolocation, grid.shape, grid.path or "the reference", [*inputs, given])
     scale = _recorded_scale(registration, secondary) if scale is None else scale
     sources = _sources(secondary, band, scale, nodata)
     wanted = (secondary_scale,) * 2 if isinstance(secondary_scale, int | float) else secondary_scale
@@ -176,7 +187,16 @@ def warp_file(
     numbers = tuple(max(source.band, 1) for source in sources)
     share = good / (grid.shape[0] * grid.shape[1])
     located = grid.geolocation is not None
-    return Product(output, grid.shape, first.dtype, first.nodata, numbers, located, share, ramp, mean)
+    items: list[Path] = []
+    if when is not None:
+        files = [path for path in (secondary, grid.path) if path is not None]
+        kinds = [("the secondary on the grid of the reference", output, first.dtype, first.nodata, len(sources))]
+        if coherence is not None:
+            kinds.append(("coherence with the reference", Path(coherence), "float32", float("nan"), 1))
+        for title, target, dtype, blank, bands in kinds:
+            samples = SampleKind(title, dtype, blank, bands)
+            items.append(write_item(target, grid.shape, grid.geolocation, when, registration, samples, files))
+    return Product(output, grid.shape, first.dtype, first.nodata, numbers, located, share, ramp, mean, tuple(items))
 
 
 @dataclass(frozen=True, eq=False)

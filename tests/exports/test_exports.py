@@ -241,7 +241,7 @@ def test_colmap_database_by_its_documented_schema(tmp_path: Path) -> None:
 def test_every_format_is_listed_everywhere() -> None:
     assert tuple(FORMATS) == NAMES
     modules = {p.stem for p in Path(__file__).parents[2].joinpath("featreg", "exports").glob("*.py")}
-    assert modules == {*FORMATS, "npy", "__init__", "columns", "content", "formats"}
+    assert modules == {*FORMATS, "npy", "__init__", "columns", "content", "formats", "frames", "layers"}
 
 
 @pytest.mark.parametrize("name", sorted(set(FORMATS) - {"rpc"}))
