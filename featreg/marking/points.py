@@ -139,8 +139,8 @@ class MarkedPoints:
         matches = Matches(points[:, :2], points[:, 2:], np.nan)  # type: ignore[arg-type]  # one score for all
         offset = np.full((len(points), 2), np.nan) if model is None else model(points[:, :2]) - points[:, 2:]
         columns = dict(zip(COLUMNS, points.T, strict=True)) | {"residual": self._residuals(model)}
-        info = [ImageInfo(name, shape) for name, shape in zip(self.images, self.shapes, strict=True)]
-        content = Content(matches, offset, columns, model or FailedFit("too few points"), *info)
+        first, second = (ImageInfo(name, shape) for name, shape in zip(self.images, self.shapes, strict=True))
+        content = Content(matches, offset, columns, model or FailedFit("too few points"), first, second)
         with replacing(self.path) as temporary:
             WRITERS[self.path.suffix.lower()](content, temporary)
 
