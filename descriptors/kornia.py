@@ -2,7 +2,7 @@
 
 A patch covers the square around a feature's support, turned by its angle; `magnification` enlarges it. Where a detector
 gives the detection scale itself for the radius, as OpenCV's SIFT does, 6 is what kornia's own detectors use. `weights`
-is a file of trained weights, None for those that kornia downloads.
+is a file of trained weights, or "auto": see `featreg.interop.weights`.
 """
 
 from __future__ import annotations
@@ -15,10 +15,11 @@ import numpy as np
 from annotated_types import Ge, Gt
 
 from featreg.interfaces import Descriptor
-from featreg.interop.family import WEIGHTS, option, register_table
+from featreg.interop.family import option, register_table
 from featreg.interop.kornia import COMMON, KorniaMember, KorniaRow, import_kornia
 from featreg.interop.opencv import inside
 from featreg.interop.torch_arrays import inference, to_tensor
+from featreg.interop.weights import weights_option
 from featreg.types import Features, Image
 from featreg.types.lafs import to_numpy
 
@@ -40,12 +41,12 @@ def _learned(creator: str, values: Mapping[str, Any], trained: bool = False) -> 
     return getattr(import_kornia(), creator)(pretrained=trained)
 
 
-def _network(creator: str, file: str) -> KorniaRow:
+def _network(creator: str, file: str, terms: str) -> KorniaRow:
     """A network that describes patches of 32 x 32 pixels."""
     return KorniaRow(
         creator,
         f"{creator}: learned, of length 128, by kornia",
-        {"magnification": MAGNIFICATION, "weights": WEIGHTS, **COMMON},
+        {"magnification": MAGNIFICATION, "weights": weights_option(terms), **COMMON},
         _learned,
         lambda values: (file,),
         f"huggingface.co/kornia/{creator.lower().rstrip('8')}",
@@ -79,10 +80,10 @@ TABLE: dict[str, KorniaRow] = {
         },
         _mkd,
     ),
-    "kornia-hardnet": _network("HardNet", "checkpoint_liberty_with_aug.pth"),
-    "kornia-hardnet8": _network("HardNet8", "hardnet8v2.pt"),
-    "kornia-hynet": _network("HyNet", "HyNet_LIB.pth"),
-    "kornia-sosnet": _network("SOSNet", "sosnet_32x32_liberty.pth"),
+    "kornia-hardnet": _network("HardNet", "checkpoint_liberty_with_aug.pth", "MIT"),
+    "kornia-hardnet8": _network("HardNet8", "hardnet8v2.pt", "MIT"),
+    "kornia-hynet": _network("HyNet", "HyNet_LIB.pth", "MIT"),
+    "kornia-sosnet": _network("SOSNet", "sosnet_32x32_liberty.pth", "none stated: ask the authors"),
 }
 
 

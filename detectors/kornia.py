@@ -2,7 +2,8 @@
 
 Names and defaults of the parameters are kornia's, except: `n_features` is the budget; `frame` (kornia's `mr_size`) is
 the radius of a feature's support in units of its detection scale; `orientation` is the direction of the strongest
-gradient in the support, or "none"; `weights` is a file of trained weights, None for those that kornia downloads.
+gradient in the support, or "none"; `weights` is a file of trained weights, or "auto": see `featreg.interop.weights`.
+Networks that describe look at images longer than `tile` pixels by parts that overlap, `batch` at a time.
 
 Departures from kornia: every candidate is looked at before the best are taken, where kornia drops those near the rim
 after its own cut; a support that touches an invalid pixel drops its point; and the positions that Key.Net, XFeat and
@@ -19,10 +20,11 @@ import numpy as np
 from annotated_types import Ge, Gt
 
 from featreg.interfaces import Detector
-from featreg.interop.family import DESCRIBE, N_FEATURES, WEIGHTS, best_first, option, register_table
+from featreg.interop.family import DESCRIBE, N_FEATURES, best_first, option, register_table
 from featreg.interop.kornia import COMMON, KorniaMember, KorniaRow, import_kornia
 from featreg.interop.opencv import MIN_SIDE, grey, on_data
 from featreg.interop.torch_arrays import inference, to_tensor
+from featreg.interop.weights import weights_option
 from featreg.runtime.optional import import_torch
 from featreg.types import Features, Image
 from featreg.types.lafs import to_numpy
@@ -32,6 +34,9 @@ ORIENTATION_PATCH = 19
 # What kornia's pyramids of Key.Net describe: a radius of 22 px on the level of the point.
 KEYNET_RADIUS = 22.0
 PIXELS_PER_CANDIDATE = 4
+# Of the coarsest cells of the learned networks, and how far beyond its part a network looks, px.
+GRID = 32
+RIM = 96
 
 
 def _octave(factor: Any) -> Any:
@@ -59,35 +64,79 @@ def _oriented(features: Features, tensor: Any, values: Mapping[str, Any]) -> Fea
 
 def _described(network: Any, tensor: Any, values: Mapping[str, Any]) -> Features:
     """Points and descriptors of a network that gives both at once; it knows neither size nor direction."""
+    height, width = tensor.shape[-2:]
+    groups: dict[tuple[int, int], list[tuple[Any, Any]]] = {}
+    for rows in parts(height, values["tile"]):
+        for columns in parts(width, values["tile"]):
+            size = (rows[1].stop - rows[1].start, columns[1].stop - columns[1].start)
+            groups.setdefault(size, []).append((rows, columns))
+    found = []
+    for same in groups.values():
+        for i in range(0, len(same), values["batch"]):
+            some = same[i : i + values["batch"]]
+            stack = import_torch().cat([tensor[..., rows[1], columns[1]] for rows, columns in some])
+            for (rows, columns), features in zip(some, _seen(network, stack, values), strict=True):
+                xy = features.xy + np.array([columns[1].start, rows[1].start])
+                own = (xy >= [columns[0].start - 0.5, rows[0].start - 0.5]).all(axis=1)
+                own &= (xy < [columns[0].stop - 0.5, rows[0].stop - 0.5]).all(axis=1)
+                found.append(replace(features, xy=xy).take(own))
+    if len(found) == 1:
+        return found[0]
+    names = ("xy", "scale", "angle", "score", "level", "descriptors")
+    joined: dict[str, Any] = {name: np.concatenate([getattr(f, name) for f in found]) for name in names}
+    return Features(**joined)
+
+
+def parts(length: int, side: int) -> list[tuple[slice, slice]]:
+    """(own, seen) ranges along an axis: as equal as steps of 32 allow, none longer than about `side`, seen with a rim.
+
+    Steps of 32 keep the networks' coarsest cells where they are in the whole image.
+    """
+    if length <= side:
+        return [(slice(0, length), slice(0, length))]
+    count = -(-length // side)
+    step = -(-length // (count * GRID)) * GRID
+    return [
+        (slice(start, min(start + step, length)), slice(max(start - RIM, 0), min(start + step + RIM, length)))
+        for start in range(0, length, step)
+    ]
+
+
+def _seen(network: Any, stack: Any, values: Mapping[str, Any]) -> list[Features]:
+    """What a network finds in each picture of a stack (B, 1, H, W)."""
     torch = import_torch()
-    shape = np.array(tensor.shape[:-3:-1], np.float64)  # (W, H)
+    shape = np.array(stack.shape[:-3:-1], np.float64)  # (W, H)
+    pixels = stack.shape[-1] * stack.shape[-2]
     kind = type(network).__name__
-    colour = tensor.expand(-1, 3, -1, -1)
+    colour = stack.expand(-1, 3, -1, -1)
     if kind == "DISK":
-        found = network(
+        all_found = network(
             colour, window_size=values["window"], score_threshold=values["score_threshold"], pad_if_not_divisible=True
-        )[0]
-        xy, score, table = found.keypoints, found.detection_scores, found.descriptors
+        )
+        tables = [(found.keypoints, found.detection_scores, found.descriptors) for found in all_found]
     elif kind == "ALIKED":
-        found = network(colour)[0]
-        xy, score, table = found.keypoints, found.keypoint_scores, found.descriptors
+        # With the channels innermost its many small layers take half the time.
+        all_found = network(colour.contiguous(memory_format=torch.channels_last))
+        tables = [(found.keypoints, found.keypoint_scores, found.descriptors) for found in all_found]
     elif kind == "XFeat":
         with torch.inference_mode():
-            found = network.detectAndCompute(tensor, top_k=tensor.shape[-1] * tensor.shape[-2])[0]
-        xy, score, table = found["keypoints"], found["scores"], found["descriptors"]
+            all_found = network.detectAndCompute(stack, top_k=pixels)
         # It looks at the image in a size that is a multiple of 32.
-        factor = shape / np.maximum(32, shape // 32 * 32)
-        xy = to_numpy(xy) + 0.5 * (factor - 1)
+        shift = 0.5 * (shape / np.maximum(GRID, shape // GRID * GRID) - 1)
+        tables = [(to_numpy(f["keypoints"]).reshape(-1, 2) + shift, f["scores"], f["descriptors"]) for f in all_found]
     else:
         # Some may lie on invalid pixels. It puts the centre of the first pixel at (0.5, 0.5).
-        wanted = min(2 * values["n_features"], tensor.shape[-1] * tensor.shape[-2])
-        points, scores, tables = network(colour, n=wanted)
-        xy, score, table = np.rint(to_numpy(points[0]) - 0.5), scores[0], tables[0]
+        xy, score, table = network(colour, n=min(2 * values["n_features"], pixels))
+        tables = [(np.rint(to_numpy(a) - 0.5), b, c) for a, b, c in zip(xy, score, table, strict=True)]
+    return [_features(*one, values["support"]) for one in tables]
+
+
+def _features(xy: Any, score: Any, table: Any, support: float) -> Features:
     rows = to_numpy(xy).reshape(-1, 2)
     n = len(rows)
     return Features(
         xy=rows,
-        scale=np.full(n, values["support"]),
+        scale=np.full(n, support),
         angle=np.zeros(n),
         score=to_numpy(score).reshape(-1),
         level=np.zeros(n, np.int64),
@@ -126,7 +175,8 @@ def _disk(creator: str, values: Mapping[str, Any], trained: bool = False) -> Any
 def _aliked(creator: str, values: Mapping[str, Any], trained: bool = False) -> Any:
     aliked = import_kornia().ALIKED
     settings = {"detection_threshold": values["detection_threshold"], "nms_radius": values["nms_radius"]}
-    return (aliked.from_pretrained if trained else aliked)(values["model"], **settings)
+    network = (aliked.from_pretrained if trained else aliked)(values["model"], **settings)
+    return network.to(memory_format=import_torch().channels_last)
 
 
 def _xfeat(creator: str, values: Mapping[str, Any], trained: bool = False) -> Any:
@@ -161,9 +211,17 @@ PYRAMID = {
     "orientation": ORIENTATION,
     **COMMON,
 }
+DEDODE_TERMS = "MIT; the G- descriptors hold DINOv2, which has terms of its own"
 # The size that their descriptors see is not in the interface of these networks: a nominal radius in pixels.
 SUPPORT = option(8.0, Gt(0), meaning="nominal radius of the support, px")
-LEARNED = {**N_FEATURES, **DESCRIBE, "support": SUPPORT, "weights": WEIGHTS, **COMMON}
+LEARNED = {
+    **N_FEATURES,
+    **DESCRIBE,
+    "support": SUPPORT,
+    "tile": option(1024, Ge(128), meaning="longer images are looked at by parts of this side, px"),
+    "batch": option(1, Ge(1), meaning="so many parts go through the network at once"),
+    **COMMON,
+}
 TABLE: dict[str, KorniaRow] = {
     "kornia-harris": KorniaRow(
         "CornerHarris", "Harris corners in scale space, by kornia", {"k": option(0.04, Ge(0)), **PYRAMID}, _scale_space
@@ -182,7 +240,7 @@ TABLE: dict[str, KorniaRow] = {
             **N_FEATURES,
             "frame": replace(PYRAMID["frame"], default=KEYNET_RADIUS),
             "orientation": ORIENTATION,
-            "weights": WEIGHTS,
+            "weights": weights_option("none stated: ask the authors"),
             **COMMON,
         },
         _keynet,
@@ -196,6 +254,7 @@ TABLE: dict[str, KorniaRow] = {
             "checkpoint": option("depth", choices=("depth", "epipolar")),
             "window": option(5, Ge(1)),
             "score_threshold": option(0.0, Ge(0)),
+            "weights": weights_option("Apache 2.0"),
             **LEARNED,
         },
         _disk,
@@ -209,6 +268,7 @@ TABLE: dict[str, KorniaRow] = {
             "model": option("aliked-n16", choices=("aliked-t16", "aliked-n16", "aliked-n16rot", "aliked-n32")),
             "detection_threshold": option(0.2, Ge(0)),
             "nms_radius": option(2, Ge(1)),
+            "weights": weights_option("BSD 3-clause"),
             **LEARNED,
         },
         _aliked,
@@ -218,7 +278,7 @@ TABLE: dict[str, KorniaRow] = {
     "kornia-xfeat": KorniaRow(
         "XFeat",
         "XFeat: fast learned points with descriptors of length 64, by kornia",
-        {"detection_threshold": option(0.05, Ge(0)), **LEARNED},
+        {"detection_threshold": option(0.05, Ge(0)), "weights": weights_option("Apache 2.0"), **LEARNED},
         _xfeat,
         lambda values: ("xfeat.pt",),
         "github.com/verlab/accelerated_features",
@@ -229,7 +289,8 @@ TABLE: dict[str, KorniaRow] = {
         {
             "detector": option("L-C4-v2", choices=("L-upright", "L-C4", "L-SO2", "L-C4-v2")),
             "descriptor": option("B-upright", choices=("B-upright", "B-C4", "B-SO2", "G-upright", "G-C4", "G-SO2")),
-            "descriptor_weights": WEIGHTS,
+            "descriptor_weights": weights_option(DEDODE_TERMS),
+            "weights": weights_option(DEDODE_TERMS),
             **LEARNED,
         },
         _dedode,

@@ -337,6 +337,9 @@ PRESETS: Mapping[str, Preset] = {
         "ALIKED, LightGlue", Part("kornia-aliked"), None, Part("kornia-lightglue", {"features": "aliked"})
     ),
     "kornia-xfeat": _kornia("XFeat, mutual nearest neighbours", Part("kornia-xfeat"), None, Part("brute-force")),
+    "xfeat-lighterglue": _kornia(
+        "XFeat, LighterGlue", Part("kornia-xfeat"), None, Part("kornia-lightglue", {"features": "xfeat"})
+    ),
     "kornia-dedode": _kornia("DeDoDe, ratio test both ways", Part("kornia-dedode"), None, _SMNN),
     "kornia-loftr": Preset("LoFTR, by kornia", matcher=Part("kornia-loftr"), filters=(Part("fsc"),)),
 }

@@ -1,7 +1,7 @@
 """Matching by kornia, one row of a table each: nearest neighbours that look at more than the distance, and LoFTR.
 
 Packed bits are compared as vectors of zeros and ones, so that their distance is the root of the Hamming distance.
-`weights` is a file of trained weights, None for those that kornia downloads.
+`weights` is a file of trained weights, or "auto": see `featreg.interop.weights`.
 """
 
 from __future__ import annotations
@@ -15,9 +15,10 @@ from annotated_types import Ge
 
 from featreg.errors import ParameterError
 from featreg.interfaces import Matcher, Nearest
-from featreg.interop.family import N_FEATURES, WEIGHTS, option, register_table
+from featreg.interop.family import N_FEATURES, option, register_table
 from featreg.interop.kornia import COMMON, RUN, KorniaMember, KorniaRow, import_kornia
 from featreg.interop.torch_arrays import as_device, inference, to_tensor
+from featreg.interop.weights import weights_option
 from featreg.runtime.optional import import_torch
 from featreg.runtime.timing import stage
 from featreg.types import BoolArray, Features, FloatArray, Image, IntArray, Matches
@@ -97,6 +98,8 @@ def _build_lightglue(creator: str, values: Mapping[str, Any], trained: bool = Fa
 
 def _lightglue_files(values: Mapping[str, Any]) -> tuple[str, ...]:
     kind = values["features"].replace("dog_affnet_hardnet", "doghardnet")
+    if kind == "xfeat":
+        return ("xfeat-lighterglue.pt",)
     if kind in ("keynet_affnet_hardnet", "dedodeb", "dedodeg"):
         return (f"{kind}_lightglue.pth",)
     stem = "doghardnet" if kind == "doghardnet" else f"{kind}_lightglue"
@@ -158,7 +161,7 @@ TABLE: dict[str, NearestRow] = {
         {
             "features": option("disk", choices=LIGHTGLUE),
             "filter_threshold": option(0.1, Ge(0)),
-            "weights": WEIGHTS,
+            "weights": weights_option("Apache 2.0"),
             **RUN,
         },
         _build_lightglue,
@@ -176,7 +179,7 @@ MATCHERS: dict[str, KorniaRow] = {
             "checkpoint": option("outdoor", choices=tuple(LOFTR_FILES)),
             "threshold": option(0.2, Ge(0)),
             "max_side": option(840, Ge(1), meaning="longer images are reduced to it, px"),
-            "weights": WEIGHTS,
+            "weights": weights_option("Apache 2.0"),
             **COMMON,
         },
         _build_loftr,

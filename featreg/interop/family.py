@@ -187,4 +187,3 @@ def best_first(features: Features, count: int) -> Features:
 N_FEATURES = {"n_features": option(5000, Ge(1), meaning="at most so many features, best first")}
 DESCRIBE = {"describe": option(True, meaning="return descriptors with the points")}
 NORMALISE = {"normalise": option("auto", choices=METHODS, meaning="how amplitude becomes 8 bits")}
-WEIGHTS = File(meaning="file of trained weights; None takes those that the library downloads")

@@ -18,10 +18,11 @@ from featreg import registry
 from featreg.errors import DuplicatePluginError, ParameterError, PluginError, PluginUnavailableError
 from featreg.interfaces import Descriptor, Detector
 from featreg.interop.extraction import extractor
-from featreg.interop.family import DESCRIBE, N_FEATURES, WEIGHTS, Member, Row, best_first, option, register_table
+from featreg.interop.family import DESCRIBE, N_FEATURES, File, Member, Row, best_first, option, register_table
 from featreg.pipeline.assembly import assemble
 from featreg.types import Features, Image
 
+WEIGHTS = File(meaning="file of trained weights")
 IMAGE = np.random.default_rng(0).gamma(4.0, size=(64, 64)).astype(np.float32)
 
 

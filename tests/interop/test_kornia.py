@@ -19,6 +19,7 @@ import featreg
 from featreg import registry
 from featreg.errors import FeatregError, InputError, ParameterError, PluginUnavailableError
 from featreg.interop import kornia as featreg_kornia
+from featreg.interop import weights as trained
 from featreg.interop.torch_arrays import as_device, inference, to_image, to_tensor
 from featreg.io import as_image
 from featreg.presets import PRESETS
@@ -398,7 +399,7 @@ def test_lightglue_reads_the_names_of_the_authors_files(tmp_path: Path) -> None:
         renamed[".".join(parts)] = value
     torch.save(renamed, tmp_path / "old.pth")
     again = random_lightglue()
-    featreg_kornia.load_weights(again, str(tmp_path / "old.pth"))
+    trained.load_weights(again, str(tmp_path / "old.pth"))
     for key, value in network.state_dict().items():
         assert torch.equal(again.state_dict()[key], value), key
 
@@ -495,6 +496,7 @@ def test_without_weights_and_network_the_cure_is_named(
 ) -> None:
     monkeypatch.setenv("TORCH_HOME", str(tmp_path))
     monkeypatch.setattr(featreg_kornia, "reachable", lambda: False)
+    monkeypatch.setattr(trained, "find_spec", lambda name: None)
     made = registry.create(entry.kind, entry.name)  # type: ignore[call-overload]
     assert made.row.on_demand
     assert "give weights=FILE" in made.row.unavailable
@@ -561,6 +563,7 @@ def test_every_preset_of_kornia_is_made_of_registered_parts() -> None:
 def test_a_preset_without_weights_says_so(monkeypatch: pytest.MonkeyPatch, pair: SimulatedPair, tmp_path: Path) -> None:
     monkeypatch.setenv("TORCH_HOME", str(tmp_path))
     monkeypatch.setattr(featreg_kornia, "reachable", lambda: False)
+    monkeypatch.setattr(trained, "find_spec", lambda name: None)
     with pytest.raises(FeatregError, match="give weights=FILE"):
         featreg.match(pair.reference, pair.secondary, method="kornia-disk-lightglue")
 
