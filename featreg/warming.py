@@ -17,6 +17,8 @@ SHAPE = (200, 200)
 #: The kernels of the default method, of the demonstration and of `warp`.
 DEFAULT = (
     "featreg.products.resample_kernels",
+    "featreg.geometry.correlated_kernels",
+    "featreg.geometry.reweighting_kernels",
     "featreg.geometry.robust_kernels",
     "featreg.sar.keypoints.binary_kernels",
     "featreg.sar.keypoints.corner_kernels",

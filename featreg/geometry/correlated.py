@@ -23,7 +23,8 @@ LENGTHS = (0.03, 0.06, 0.1, 0.16, 0.24, 0.34, 0.5)
 SHARED = (0.5, 3.0, 20.0)
 # exp(-d) as a sum of Gaussian functions of d: their shares and standard deviations.
 EXPONENTIAL = ((0.175, 0.12), (0.3, 0.4), (0.36, 0.95), (0.165, 2.0))
-GAUSSIAN = ((1.0, 1.0),)
+GAUSSIAN = ((1.0, 1.0), (0.0, 1.0), (0.0, 1.0), (0.0, 1.0))
+MIXTURES = np.array([GAUSSIAN, EXPONENTIAL])
 Z95 = 1.959964
 
 
@@ -106,31 +107,33 @@ def correlated_covariance(
     if not np.linalg.cond(normal) < 1e14:
         return FailedFit(f"the tie points do not determine the {count} parameters")
     side = float(np.ptp(here, axis=0).max())
-    lengths, parts, candidates = _candidates(place, variance, weight, number, side)
-    # Everything whitened by the root of each candidate: (K, C, 2, P + 1).
+    lengths, parts, own, shared = _candidates(place, variance, weight, number, side)
+    estimator = np.linalg.solve(normal, (design * weight[:, None, None]).transpose(2, 0, 1).reshape(count, -1))
+    # How much a shift of each cell along each axis moves each mapped point along each axis: (N, 2, 2, C).
+    weighing = (derivatives(model, points, n) @ estimator).reshape(len(points), 2, -1, 2).transpose(0, 1, 3, 2)
+    rows = weighing.reshape(len(points), 2, -1)
+    lines = weighing.reshape(-1, len(place))
     both = np.concatenate([design, mean[:, :, None]], axis=2)
-    root = np.linalg.cholesky(candidates)
-    white = np.linalg.solve(root, both.reshape(1, len(place), -1)).reshape(len(root), -1, count + 1)
-    square = white.transpose(0, 2, 1) @ white
+    made = _whitened(own, shared, both, lines.T @ lines)
+    if made is None:
+        return FailedFit("the tie points lie too close together for any correlation of their errors")
+    square, logs, traces = made
     information, moment = square[:, :count, :count], square[:, :count, count]
     fitted = np.linalg.solve(information, moment[:, :, None])[:, :, 0]
     variances = np.maximum(square[:, count, count] - (fitted * moment).sum(axis=1), 0) / dof
     if not variances.max() > 0:
         return Predicted(np.zeros((len(points), 2, 2)), float(dof), 0.0, 0.0)
-    halves = 2 * 2 * np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1) + np.linalg.slogdet(information)[1]
+    halves = 2 * 2 * logs + np.linalg.slogdet(information)[1]
     likelihood = -0.5 * (halves + dof * np.log(np.maximum(variances, 1e-30 * variances.max())))
     share = np.exp(likelihood - likelihood.max())
     # As likely beforehand: no correlation, and all candidates with one together.
     share[1:] /= len(share) - 1
     share /= share.sum()
-    estimator = np.linalg.solve(normal, (design * weight[:, None, None]).transpose(2, 0, 1).reshape(count, -1))
-    # How much a shift of each cell along each axis moves each mapped point along each axis: (N, 2, 2, C).
-    weighing = (derivatives(model, points, n) @ estimator).reshape(len(points), 2, -1, 2).transpose(0, 1, 3, 2)
-    rows = weighing.reshape(len(points), 2, -1)
-    of_cells = np.tensordot(share * variances, candidates, 1)
+    chosen = share * variances
+    of_pairs = chosen[1:].reshape(len(shared), -1) @ SHARED
+    of_cells = np.diag(own * chosen.sum()) + np.tensordot(of_pairs, shared, 1)
     covariance = (weighing @ of_cells).reshape(rows.shape) @ rows.transpose(0, 2, 1)
-    lines = weighing.reshape(-1, len(place))
-    each = variances * np.tensordot(candidates, lines.T @ lines, 2)
+    each = variances * traces
     middle = float(share @ each)
     widened = _interval(each / middle, share) if middle > 0 else 1.0
     return Predicted(
@@ -200,27 +203,39 @@ def _gathered(
 
 def _candidates(
     place: FloatArray, variance: FloatArray, weight: FloatArray, number: FloatArray, side: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(K,) lengths in px, (K,) correlated over independent variance, (K, C, C) covariances of the cells' means.
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """What the covariances of the cells' means may be.
 
     The mean of a Gaussian function of the distance over two cells is taken as that of Gaussian clouds of their
     variance, which has a closed form.
+
+    Returns
+    -------
+    lengths, parts : (K,) px, (K,) correlated over independent variance; no correlation first, then all shares of the
+        first of `shared`, and so on
+    own : (C,) variances without correlation
+    shared : (S, C, C) what is added for a share of 1
     """
+    from featreg.geometry.correlated_kernels import shared_parts
+
     distance = ((place[:, None] - place) ** 2).sum(axis=2)
-    blur = variance[:, None] + variance
-    alone = 1 / number
-    same = np.diag_indices(len(place))
-    lengths, parts, made = [0.0], [0.0], [np.diag(1 / weight)]
-    for length in LENGTHS:
-        for mixture in (GAUSSIAN, EXPONENTIAL):
-            shared = np.zeros_like(distance)
-            for share, width in mixture:
-                square = (width * length * side) ** 2
-                shared += share * square / (square + blur) * np.exp(-0.5 * distance / (square + blur))
-            # A point shares all of its error with itself.
-            shared[same] = alone + (1 - alone) * shared[same]
-            for part in SHARED:
-                lengths.append(length * side)
-                parts.append(part)
-                made.append(np.diag(1 / weight) + part * shared)
-    return np.array(lengths), np.array(parts), np.stack(made)
+    tried = np.array(LENGTHS) * side
+    shared = np.empty((len(tried) * len(MIXTURES), len(place), len(place)))
+    shared_parts(distance, variance, 1 / number, tried, MIXTURES, shared)
+    lengths = np.append(0.0, np.repeat(tried, len(MIXTURES) * len(SHARED)))
+    parts = np.append(0.0, np.tile(SHARED, len(shared)))
+    return lengths, parts, 1 / weight, shared
+
+
+def _whitened(
+    own: FloatArray, shared: FloatArray, both: FloatArray, outer: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """Of each candidate: (K, P + 1, P + 1) squares of the whitened rows of `both` (C, 2, P + 1), (K,) sum of the
+    logarithms of its root's diagonal, (K,) sum of `outer` (C, C) times it; None where one has no root."""
+    from featreg.geometry.correlated_kernels import whitened
+
+    many, side = 1 + len(shared) * len(SHARED), both.shape[2]
+    squares, logs, traces = np.empty((many, side, side)), np.empty(many), np.empty(many)
+    flat = np.ascontiguousarray(both.reshape(len(own), -1))
+    good = whitened(own, shared, np.array(SHARED), flat, np.ascontiguousarray(outer), squares, logs, traces)
+    return (squares, logs, traces) if good else None

@@ -155,6 +155,16 @@ def _direct_linear(n: Normalised) -> FloatArray | FailedFit:
 
 def _reprojection_minimum(h: FloatArray, n: Normalised, steps: int = 10) -> FloatArray:
     """Gauss-Newton on the weighted squared reprojection error; a step that does not lower it ends the search."""
+    from featreg.geometry.reweighting_kernels import reprojection_minimum
+
+    found = h.ravel().copy()
+    if reprojection_minimum(found, *(np.ascontiguousarray(c) for c in (*n.reference.T, *n.secondary.T)), n.weights):
+        return found.reshape(3, 3)
+    return plain_reprojection_minimum(h, n, steps)
+
+
+def plain_reprojection_minimum(h: FloatArray, n: Normalised, steps: int = 10) -> FloatArray:
+    """The same by orthogonal factors, which hold also where the points hardly determine a homography."""
     x, y = n.reference.T
     m, root = len(x), np.sqrt(n.weights)
 

@@ -104,9 +104,10 @@ def fit_consensus(
         found = f"got {count}" if count else "none given"
         return FailedFit(f"too few points: {model_class.minimum} needed, {found}"), none
     # A model that needs fewer points than an affine one may still have its few.
-    kind = next((k for known, k in KINDS.items() if known is model_class), 3 if count >= Affine.minimum else 0)
+    own = _kind(model_class)
+    kind = (3 if count >= Affine.minimum else 0) if own is None else own
     widths = [threshold]
-    if not any(known is model_class for known in KINDS):
+    if own is None:
         steps = max(1, math.ceil(math.log2(widening)))
         widths = [threshold * widening ** (1 - i / steps) for i in range(steps + 1)]
         logger.info("%s has no hypotheses of its own: affine ones within %g px", model_class, widths[0])
@@ -130,6 +131,11 @@ def fit_consensus(
             f"and {model_class.minimum} always do"
         ), none
     return model, inliers
+
+
+def _kind(model_class: Any) -> int | None:
+    """The number by which the compiled loops know a model; None where they do not."""
+    return next((k for known, k in KINDS.items() if known is model_class), None)
 
 
 def _fit_correction(
@@ -266,10 +272,31 @@ def irls(
     The scale is the median residual length over sqrt(2 ln 2), its value for Gaussian errors in two dimensions, taken
     anew in each round and never below `scale_px`; the biweight (1 - (r / c s)^2)^2 has c = 5.123, 95 % efficiency in
     two dimensions. With prior weights the residuals are first multiplied by the square roots of the weights over
-    their mean.
+    their mean. The rounds of translation, rigid, similarity, affine and homography are compiled.
     """
     reference, secondary = points(reference_xy, "reference_xy"), points(secondary_xy, "secondary_xy")
     prior = np.ones(len(reference)) if weights is None else np.asarray(weights, np.float64)
+    kind = _kind(model_class)
+    if kind is not None and prior.ndim == 1 and len(reference) == len(secondary) == len(prior) > 0:
+        from featreg.geometry.reweighting_kernels import reweighted
+
+        final = np.empty(len(reference))
+        least, tuning = scale_px * MEDIAN_LENGTH, TUKEY / MEDIAN_LENGTH
+        if reweighted(kind, model_class.minimum, reference, secondary, prior, tuning, least, iterations, final):
+            fitted = model_class.from_estimate(reference, secondary, final)
+            return fitted, (np.zeros(len(reference)) if isinstance(fitted, FailedFit) else final)
+    return plain_irls(model_class, reference, secondary, prior, scale_px, iterations)
+
+
+def plain_irls(
+    model_class: type[M],
+    reference: FloatArray,
+    secondary: FloatArray,
+    prior: FloatArray,
+    scale_px: float,
+    iterations: int,
+) -> tuple[M | FailedFit, FloatArray]:
+    """`irls` of any model, which is fitted anew in each round; it also puts into words why a fit fails."""
     model = model_class.from_estimate(reference, secondary, prior)
     if isinstance(model, FailedFit):
         return model, np.zeros(len(reference))

@@ -37,6 +37,8 @@ TOGETHER_PX = 2.5
 LOBE = 4
 #: Fewest windows with something to say, and least share of those that both images hold.
 LEAST_WINDOWS, LEAST_SPEAKING = 12, 1 / 3
+#: So near to the edge, px, rounding decides what lies inside.
+EDGE_PX = 1e-6
 #: A window has structure where neighbouring samples correlate by this much; speckle alone has 0.0 to 0.2.
 STRUCTURE = 0.2
 
@@ -146,10 +148,12 @@ class Agreement:
 
         Over squares of 36 px. None where less than a tenth of the samples that both images hold has structure.
         """
-        structured = self.valid & (np.minimum(_structure(self.here), _structure(self.there)) >= STRUCTURE)
+        squares = self.here * self.here, self.there * self.there
+        least = (_structure(view, square) for view, square in zip((self.here, self.there), squares, strict=True))
+        structured = self.valid & (np.minimum(*least) >= STRUCTURE)
         if np.count_nonzero(structured) < 0.1 * np.count_nonzero(self.valid):
             return None
-        power = _mean(self.here * self.here, HALF // 2) * _mean(self.there * self.there, HALF // 2)
+        power = _mean(squares[0], HALF // 2) * _mean(squares[1], HALF // 2)
         local = _mean(self.here * self.there, HALF // 2) / np.sqrt(np.maximum(power, 1e-20))
         ranked = np.sort(local[structured])
         return float(ranked[: len(ranked) // 2 + 1].mean())
@@ -205,9 +209,15 @@ def contrast(view: F32, valid: BoolArray) -> F32:
 
 def _inside(model: Model, size: tuple[int, int], step: int, shape: tuple[int, int]) -> BoolArray:
     """(h, w) samples of `step` px whose corners a model maps into an image of (H, W)."""
-    x, y = np.meshgrid(*(np.arange(n + 1, dtype=np.float64) * step - 0.5 for n in size))
-    at = model(np.column_stack([x.ravel(), y.ravel()])).reshape(*x.shape, 2)
-    good: BoolArray = np.all((at >= -0.5) & (at <= np.array(shape[::-1]) - 0.5), axis=2)
+    across, down = (np.arange(n + 1, dtype=np.float64) * step - 0.5 for n in size)
+    if model.matrix is not None and np.array_equal(model.matrix[2], [0, 0, 1]):
+        # An affine map takes a rectangle into another where it takes the corners there.
+        corners = model(np.array([[x, y] for x in across[[0, -1]] for y in down[[0, -1]]]))
+        if ((corners >= -0.5 + EDGE_PX) & (corners <= np.array(shape[::-1]) - 0.5 - EDGE_PX)).all():
+            return np.ones(size[::-1], np.bool_)
+    at = model(np.stack(np.meshgrid(across, down), -1))
+    u, v = at[..., 0], at[..., 1]
+    good: BoolArray = (u >= -0.5) & (u <= shape[1] - 0.5) & (v >= -0.5) & (v <= shape[0] - 0.5)
     return np.asarray(good[1:, 1:] & good[1:, :-1] & good[:-1, 1:] & good[:-1, :-1])
 
 
@@ -248,10 +258,11 @@ def _neighbours(moved: FloatArray, which: BoolArray, grid: tuple[int, int]) -> I
     return count.ravel()
 
 
-def _structure(view: F32) -> F32:
-    """(h, w) correlation of neighbouring samples in the window around each."""
-    beside = np.asarray(np.roll(view, -1, 1) + np.roll(view, -1, 0), np.float32)
-    return np.asarray(_mean(beside * view, HALF) / np.maximum(2 * _mean(view * view, HALF), 1e-12), np.float32)
+def _structure(view: F32, square: F32) -> F32:
+    """(h, w) correlation of neighbouring samples in the window around each; `square` is that of the view."""
+    around = np.pad(view, ((0, 1), (0, 1)), mode="wrap")
+    beside = around[:-1, 1:] + around[1:, :-1]
+    return np.asarray(_mean(beside * view, HALF) / np.maximum(2 * _mean(square, HALF), 1e-12), np.float32)
 
 
 def _mean(view: F32, half: int) -> F32:

@@ -116,6 +116,36 @@ def test_what_cannot_be_told_is_said() -> None:
     assert np.abs(still.covariance).max() < 1e-15
 
 
+def test_compiled_candidates_are_the_formulas() -> None:
+    """Covariances of the cells' means, their roots and what these whiten, written out in whole arrays."""
+    from featreg.geometry.correlated import EXPONENTIAL, LENGTHS, SHARED, _candidates, _whitened
+
+    rng = np.random.default_rng(0)
+    place, variance = rng.uniform(0, SIZE, (30, 2)), rng.uniform(50, 900, 30)
+    weight, number = rng.uniform(1, 20, 30), rng.uniform(1, 20, 30)
+    lengths, parts, own, shared = _candidates(place, variance, weight, number, SIZE)
+    distance, blur = ((place[:, None] - place) ** 2).sum(axis=2), variance[:, None] + variance
+    made = [np.diag(1 / weight)]
+    for length in LENGTHS:
+        for mixture in (((1.0, 1.0),), EXPONENTIAL):
+            common = np.zeros((30, 30))
+            for share, width in mixture:
+                square = (width * length * SIZE) ** 2
+                common += share * square / (square + blur) * np.exp(-0.5 * distance / (square + blur))
+            np.fill_diagonal(common, 1 / number + (1 - 1 / number) * common.diagonal())
+            made += [np.diag(1 / weight) + part * common for part in SHARED]
+    candidates = np.stack(made)
+    assert len(lengths) == len(parts) == len(candidates)
+    both, outer = rng.normal(size=(30, 2, 5)), rng.normal(size=(30, 30))
+    found = _whitened(own, shared, both, outer)
+    assert found is not None
+    root = np.linalg.cholesky(candidates)
+    white = np.linalg.solve(root, both.reshape(1, 30, -1)).reshape(len(root), -1, 5)
+    np.testing.assert_allclose(found[0], white.transpose(0, 2, 1) @ white, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(found[1], np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1), rtol=1e-9)
+    np.testing.assert_allclose(found[2], np.tensordot(candidates, outer, 2), rtol=1e-9)
+
+
 def test_models_without_derivatives_are_fitted_anew() -> None:
     rng = np.random.default_rng(4)
     here = rng.uniform(0, SIZE, (300, 2))

@@ -10,7 +10,8 @@ import pytest
 
 from featreg.errors import InputError, ParameterError
 from featreg.geometry import Affine, Homography, Polynomial2, Polynomial3, Rigid, Similarity, Translation
-from featreg.geometry.robust import TUKEY, draw_samples, fit_consensus, irls
+from featreg.geometry.homography import plain_reprojection_minimum
+from featreg.geometry.robust import KINDS, TUKEY, draw_samples, fit_consensus, irls, plain_irls
 from featreg.interfaces import FailedFit, FilterContext, Model
 from featreg.registry import create
 from featreg.types import BoolArray, FloatArray, Matches
@@ -334,6 +335,34 @@ def test_irls_keeps_its_efficiency() -> None:
         robust.append((found.dx - 12.25) ** 2 + (found.dy + 7.5) ** 2)
     assert pytest.approx(5.123) == TUKEY
     assert np.mean(plain) / np.mean(robust) == pytest.approx(0.95, abs=0.04)
+
+
+@pytest.mark.parametrize("model", [m for m in MODELS if type(m) in KINDS], ids=lambda m: type(m).__name__)
+@pytest.mark.parametrize("count", [9, 400, 401])
+def test_irls_compiled_rounds_are_the_plain_ones(model: Model, count: int) -> None:
+    reference, secondary, _ = mixed(model, 0.9, count=count, noise=0.5, seed=count)
+    rng = np.random.default_rng(count)
+    kind = type(model)
+    close = 1e-6 if kind is Homography else 1e-9
+    for prior in (np.ones(count), rng.uniform(0, 1, count) * (rng.random(count) > 0.2)):
+        ours, weights = irls(kind, reference, secondary, weights=prior, scale_px=0.05, iterations=6)
+        plain, wanted = plain_irls(kind, reference, secondary, prior, 0.05, 6)
+        assert bool(ours) is bool(plain)
+        np.testing.assert_allclose(weights, wanted, atol=close)
+        if ours and plain:
+            np.testing.assert_allclose(ours(CORNERS), plain(CORNERS), atol=close)
+
+
+def test_homography_steps_find_the_minimum_of_the_orthogonal_factors() -> None:
+    from featreg.geometry.base import normalise
+    from featreg.geometry.homography import _direct_linear, _reprojection_minimum
+
+    reference, secondary, _ = mixed(MODELS[4], 1.0, count=300, noise=1.0)
+    n = normalise(reference, secondary, np.linspace(0.1, 2, 300), 4)
+    assert not isinstance(n, FailedFit)
+    start = _direct_linear(n)
+    assert not isinstance(start, FailedFit)
+    np.testing.assert_allclose(_reprojection_minimum(start, n), plain_reprojection_minimum(start, n), atol=1e-9)
 
 
 def test_irls_scale_floor_and_priors() -> None:
