@@ -158,7 +158,8 @@ def _reprojection_minimum(h: FloatArray, n: Normalised, steps: int = 10) -> Floa
     from featreg.geometry.reweighting_kernels import reprojection_minimum
 
     found = h.ravel().copy()
-    if reprojection_minimum(found, *(np.ascontiguousarray(c) for c in (*n.reference.T, *n.secondary.T)), n.weights):
+    x, y, u, v = (np.ascontiguousarray(column) for column in (*n.reference.T, *n.secondary.T))
+    if reprojection_minimum(found, x, y, u, v, n.weights):
         return found.reshape(3, 3)
     return plain_reprojection_minimum(h, n, steps)
 
