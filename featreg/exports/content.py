@@ -153,21 +153,23 @@ def ground_of(image: ImageInfo, xy: FloatArray, model: Model | FailedFit) -> Gro
     place = image.geolocation
     if place is None:
         return None
-    if place.transform is not None and place.rpcs is None:
+    if place.transform is not None and place.rpcs is None and place.sensor is None:
         ground = np.column_stack([on_map(place.transform, xy), np.zeros(len(xy))])
         return Ground(ground, place.crs or "")
-    from featreg.geolocation import ConstantHeight, RpcBias, sensor_of
+    from featreg.geolocation import ConstantHeight, RpcBias, ground_level, sensor_of
     from featreg.geolocation.transfer import on_ground
 
     if isinstance(model, RpcBias):
         heights = model.heights
+    elif place.sensor is not None:
+        heights = ConstantHeight(ground_level(sensor_of(place, image.size, image.path))[0])
     elif place.rpcs is not None:
         heights = ConstantHeight(place.rpcs["height_off"])
     elif place.gcps is not None:
         heights = ConstantHeight(place.gcps[:, 4].mean())
     else:
         return None
-    if place.rpcs is None and not place.crs:
+    if place.sensor is None and place.rpcs is None and not place.crs:
         logger.warning(
             "%s: its ground control points have no coordinate system, the map is its own pixels instead", image.path
         )

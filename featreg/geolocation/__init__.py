@@ -1,17 +1,21 @@
 """Where images lie on the ground: sensors, heights, the transfer between two images, their overlap, RPC bias.
 
 Sensor
+├── RangeDopplerSensor    state vectors of an orbit and the times of the pixels
 ├── RpcSensor             rational polynomial coefficients
 ├── GeotransformSensor    affine grid in a map projection
-└── GcpSensor             ground control points
+├── GcpSensor             ground control points
+└── CorrectedSensor       any of them with a measured bias
 
 Everything is frozen, picklable, safe to share between threads, float64, and holds no open file.
 """
 
+from featreg.geolocation.corrected import CorrectedSensor
 from featreg.geolocation.gcps import GcpSensor
 from featreg.geolocation.geotransform import GeotransformSensor
 from featreg.geolocation.heights import ConstantHeight, DemHeights, Heights, heights_from_dict
 from featreg.geolocation.overlap import Overlap, find_overlap
+from featreg.geolocation.range_doppler import RangeDopplerSensor
 from featreg.geolocation.rpc import RpcSensor
 from featreg.geolocation.rpc_bias import RpcBias
 from featreg.geolocation.sensor import Sensor
@@ -20,11 +24,13 @@ from featreg.geolocation.transfer import Transfer
 
 __all__ = [
     "ConstantHeight",
+    "CorrectedSensor",
     "DemHeights",
     "GcpSensor",
     "GeotransformSensor",
     "Heights",
     "Overlap",
+    "RangeDopplerSensor",
     "RpcBias",
     "RpcSensor",
     "Sensor",

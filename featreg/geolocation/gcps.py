@@ -76,6 +76,11 @@ class GcpSensor(Sensor):
         return x, y
 
     @property
+    def level(self) -> float:
+        """The mean height of the points."""
+        return self._fit.level
+
+    @property
     def sees_height(self) -> bool:
         """Whether the control points tell how a height moves a pixel."""
         return self._fit.tall is not None

@@ -10,16 +10,21 @@ from featreg.errors import InputError
 from featreg.geolocation.projection import Projection
 from featreg.geolocation.rpc import RpcSensor
 from featreg.geolocation.sensor import metres, wrapped
+from featreg.geolocation.sensors import sensor_from_dict
 from featreg.types import FloatArray, Geolocation, PixelSize
 
 
 def pixel_size(geolocation: Geolocation) -> PixelSize | None:
     """Return the size of an image's pixels; None where nothing tells it.
 
-    The first of these that there is, as for `sensor_of`: of an RPC, that at its offsets, in metres; of a geotransform
-    with a coordinate system, its own, in metres or degrees; of ground control points, the mean over them, in metres.
+    The first of these that there is, as for `sensor_of`: of the sensor that a product states, that at its centre, and
+    of an RPC, that at its offsets, in metres; of a geotransform with a coordinate system its own, in metres or degrees;
+    of ground control points, the mean over them, in metres.
     """
     try:
+        if geolocation.sensor is not None:
+            sensor = sensor_from_dict(geolocation.sensor)
+            return _checked(PixelSize(*sensor.pixel_size(sensor.level or 0.0), "metre"))
         if geolocation.rpcs is not None:
             return _on_ground(*_of_rpc(RpcSensor(geolocation.rpcs)))
         if geolocation.transform is not None and geolocation.crs:

@@ -99,6 +99,11 @@ class RpcSensor(Sensor):
     def centre(self) -> tuple[float, float]:
         return self.rpcs["samp_off"], self.rpcs["line_off"]
 
+    @property
+    def level(self) -> float:
+        """The height offset."""
+        return float(self.rpcs["height_off"])
+
     def to_dict(self) -> dict[str, Any]:
         return {"type": "rpc", **self.rpcs}
 

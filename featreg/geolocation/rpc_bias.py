@@ -1,4 +1,8 @@
-"""Bias of the geolocation between two images, as a shift or affine map of the secondary's image space."""
+"""Bias of the geolocation between two images, as a shift or affine map of the secondary's image space.
+
+Named after the RPC, for which the method was made; it serves sensors of every kind, and for one by orbit and timing a
+shift is a bias in range and azimuth time.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +16,9 @@ from typing import Any, ClassVar, Literal, Self
 import numpy as np
 
 from featreg.errors import InputError, ParameterError
+from featreg.geolocation.corrected import CorrectedSensor
 from featreg.geolocation.heights import ConstantHeight, Heights, heights_from_dict
+from featreg.geolocation.range_doppler import RangeDopplerSensor
 from featreg.geolocation.rpc import RpcSensor
 from featreg.geolocation.sensor import Sensor
 from featreg.geolocation.sensors import sensor_from_dict
@@ -28,8 +34,9 @@ from featreg.types import FloatArray
 Kind = Literal["affine", "shift"]
 CORRECTIONS: Mapping[str, type[Affine] | type[Translation]] = {"affine": Affine, "shift": Translation}
 UNBOUND = (
-    "the model 'rpc-bias' needs the sensors of both images: give images with RPCs, a geotransform or ground control "
-    "points and match them as a scene (a DEM file or a height), or use RpcBias.bind(reference, secondary, heights)"
+    "the model 'rpc-bias' needs the sensors of both images: give images with orbit and timing, RPCs, a geotransform or "
+    "ground control points and match them as a scene (a DEM file or a height), or use "
+    "RpcBias.bind(reference, secondary, heights)"
 )
 
 
@@ -61,6 +68,7 @@ class RpcBias(CorrectedModel, metaclass=_Bindable):
     `RpcBias.bind` returns a class that knows the sensors and stands wherever a model's class is asked for. Bias
     compensation in image space is that of Grodecki and Dial [1]_ for one image with the other as control: only the
     relative bias of the two images is estimated, so the corrected RPC agrees with the reference, not with the truth.
+    Any two sensors will do; of one by orbit and timing `timing_bias` gives the shift in metres and seconds.
 
     References
     ----------
@@ -171,6 +179,29 @@ class RpcBias(CorrectedModel, metaclass=_Bindable):
             "kind": self.kind,
             "bias": self.bias.tolist(),
         }
+
+    def corrected_sensor(self) -> Sensor:
+        """Return the secondary's sensor, of whatever kind, with the bias worked in: it agrees with the reference."""
+        return CorrectedSensor(self.secondary, self.bias)
+
+    def timing_bias(self) -> tuple[float, float]:
+        """Return what the bias is in the secondary's radar geometry: metres of slant range and seconds of azimuth time.
+
+        Both are what the image's own range and time must be increased by, at its centre, to agree with the reference.
+
+        Raises
+        ------
+        InputError
+            The secondary is not located by range and time.
+        """
+        if not isinstance(self.secondary, RangeDopplerSensor):
+            raise InputError(
+                "only an image located by orbit and timing has a bias in range and time, the secondary is located by a "
+                f"{type(self.secondary).__name__}"
+            )
+        centre = np.array([self.secondary.centre])
+        time, distance = self.secondary.time_and_range(np.concatenate([centre, self.correction.inverse(centre)]))
+        return float(distance[1] - distance[0]), float(time[1] - time[0])
 
     def corrected_rpc(self) -> dict[str, Any]:
         """Return the secondary's RPC with the bias worked in, under rasterio's names.

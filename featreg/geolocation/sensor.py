@@ -45,6 +45,11 @@ class Sensor(ABC):
     def centre(self) -> tuple[float, float]:
         """An image point in the middle of where the sensor model holds."""
 
+    @property
+    def level(self) -> float | None:
+        """Metres above the ellipsoid of the ground, where what the sensor is made from states it."""
+        return None
+
     @abstractmethod
     def to_dict(self) -> dict[str, Any]:
         """A JSON-able dict from which `sensor_from_dict` makes the same sensor."""

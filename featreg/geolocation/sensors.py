@@ -1,4 +1,4 @@
-"""The sensor of an image: its RPC, else its geotransform, else its ground control points."""
+"""The sensor of an image: what its product states, else its RPC, its geotransform, its ground control points."""
 
 from __future__ import annotations
 
@@ -6,11 +6,19 @@ from collections.abc import Mapping
 from typing import Any
 
 from featreg.errors import InputError
+from featreg.geolocation.corrected import CorrectedSensor
 from featreg.geolocation.gcps import GcpSensor
 from featreg.geolocation.geotransform import GeotransformSensor
+from featreg.geolocation.range_doppler import RangeDopplerSensor
 from featreg.geolocation.rpc import RpcSensor
 from featreg.geolocation.sensor import Sensor
 from featreg.types import Geolocation
+
+#: Whence the height of the ground comes where nobody states it.
+STATED: Mapping[type[Sensor], str] = {
+    RpcSensor: "height offset of the RPC",
+    GcpSensor: "mean height of the ground control points",
+}
 
 
 def sensor_of(geolocation: Geolocation | None, shape: tuple[int, int], name: str) -> Sensor:
@@ -29,6 +37,8 @@ def sensor_of(geolocation: Geolocation | None, shape: tuple[int, int], name: str
     """
     found = geolocation or Geolocation()
     try:
+        if found.sensor is not None:
+            return sensor_from_dict(found.sensor)
         if found.rpcs is not None:
             return RpcSensor(found.rpcs)
         if found.transform is not None and found.crs:
@@ -50,11 +60,12 @@ def sensor_of(geolocation: Geolocation | None, shape: tuple[int, int], name: str
 def ground_level(*sensors: Sensor) -> tuple[float, str]:
     """Return metres above the ellipsoid to take for the ground where nobody states it, and where they come from.
 
-    That of the first sensor with rational polynomials, which hold around their own height only; else 0.
+    That which the first sensor states that states any: the offset of rational polynomials, which hold around their own
+    height only, the median of a geolocation grid, the scene centre point, the mean of control points; else 0.
     """
     for sensor in sensors:
-        if isinstance(sensor, RpcSensor):
-            return float(sensor.rpcs["height_off"]), "height offset of the RPC"
+        if sensor.level is not None:
+            return sensor.level, STATED.get(type(sensor), "the metadata of the product")
     return 0.0, "none stated: the ellipsoid"
 
 
@@ -75,6 +86,12 @@ def sensor_from_dict(values: Mapping[str, Any]) -> Sensor:
             return GeotransformSensor(**given)
         if kind == "gcps":
             return GcpSensor(**given)
-    except TypeError as error:
+        if kind == "corrected":
+            return CorrectedSensor(sensor_from_dict(given["sensor"]), given["bias"])
+        if kind == "range-doppler":
+            return RangeDopplerSensor(**given)
+    except (TypeError, KeyError) as error:
         raise InputError(f"no sensor of type '{kind}' has the values {sorted(given)}: {error}") from error
-    raise InputError(f"a sensor's type must be 'rpc', 'geotransform' or 'gcps', got {kind!r}")
+    raise InputError(
+        f"a sensor's type must be 'range-doppler', 'rpc', 'geotransform', 'gcps' or 'corrected', got {kind!r}"
+    )

@@ -43,7 +43,7 @@ def relation(old: Placed, new: Placed) -> FloatArray | None:
     if _equal(first, second):
         return IDENTITY
     grids = first.transform, second.transform
-    if grids[0] is not None and grids[1] is not None and first.rpcs is None and second.rpcs is None:
+    if grids[0] is not None and grids[1] is not None and not (_exact(first) or _exact(second)):
         affine = _between(grids[0], grids[1], _turn(second.crs), new.shape)
         if bool(first.crs) != bool(second.crs):
             if _is_identity(affine, old.shape):
@@ -96,6 +96,8 @@ def _by_points(first: Placed, second: Placed) -> bool:
 
 def _kind(image: Placed) -> str:
     place = image.geolocation or Geolocation()
+    if place.sensor is not None:
+        return "orbit and timing"
     if place.rpcs is not None:
         return "RPC coefficients"
     return "ground control points" if place.transform is None else "a geotransform"
@@ -105,7 +107,13 @@ def _equal(first: Geolocation, second: Geolocation) -> bool:
     gcps = first.gcps, second.gcps
     points = gcps[0] is gcps[1] or (gcps[0] is not None and gcps[1] is not None and np.array_equal(gcps[0], gcps[1]))
     alike = (first.transform, first.crs) == (second.transform, second.crs)
-    return points and alike and dict(first.rpcs or {}) == dict(second.rpcs or {})
+    stated = all(dict(a or {}) == dict(b or {}) for a, b in ((first.rpcs, second.rpcs), (first.sensor, second.sensor)))
+    return points and alike and stated
+
+
+def _exact(place: Geolocation) -> bool:
+    """Whether more than a geotransform says where an image lies."""
+    return place.rpcs is not None or place.sensor is not None
 
 
 def _same_crs(first: str, second: str) -> bool:

@@ -82,9 +82,13 @@ def _known(values: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in values.items() if value is not None}
 
 
-def _geolocation(transform: Any = None, crs: Any = None, rpcs: Any = None, gcps: Any = None) -> Geolocation:
+def _geolocation(
+    transform: Any = None, crs: Any = None, rpcs: Any = None, gcps: Any = None, sensor: Any = None
+) -> Geolocation:
     if transform is not None:
         a, b, c, d, e, f = (float(n) for n in transform)
         transform = a, b, c, d, e, f
     # A number that is not finite stands as null.
-    return Geolocation(transform, crs, rpcs, None if gcps is None else np.array(gcps, np.float64).reshape(-1, 5))
+    return Geolocation(
+        transform, crs, rpcs, None if gcps is None else np.array(gcps, np.float64).reshape(-1, 5), sensor
+    )

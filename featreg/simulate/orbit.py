@@ -9,27 +9,20 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from featreg.geolocation.ellipsoid import earth_fixed
 from featreg.geolocation.heights import Heights
+from featreg.geolocation.range_doppler import RangeDopplerSensor
 from featreg.geolocation.rpc import RpcSensor
 from featreg.geolocation.rpc_fit import fitted, lattice
 from featreg.geolocation.sensor import METRES_PER_DEGREE, Sensor, column_of, wrapped
 from featreg.types import FloatArray
 
-#: WGS84: semi-major axis in metres, first eccentricity squared.
-AXIS, ECCENTRICITY2 = 6378137.0, 6.69437999014e-3
 #: Radius of the orbit, metres (about 514 km above the ground).
 ORBIT = 6_885_000.0
+#: Radians a second along it, and seconds between the state vectors that describe it.
+RATE, EVERY = 1.105e-3, 10.0
 #: Lattice of image points and heights through which an RPC is fitted, and how far beyond the image, as a share of it.
 NODES, BEYOND = (21, 21, 7), 0.08
-
-
-def earth_fixed(lonlat: FloatArray, heights: FloatArray) -> FloatArray:
-    """(N, 3) metres of (N, 2) longitude and latitude in degrees and (N,) heights above the ellipsoid."""
-    lon, lat = np.radians(np.asarray(lonlat, np.float64)).T
-    normal = AXIS / np.sqrt(1.0 - ECCENTRICITY2 * np.sin(lat) ** 2)
-    flat = (normal + heights) * np.cos(lat)
-    upright = (normal * (1.0 - ECCENTRICITY2) + heights) * np.sin(lat)
-    return np.column_stack([flat * np.cos(lon), flat * np.sin(lon), upright])
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,6 +127,23 @@ class RangeDoppler(Sensor):
         return RpcSensor(
             fitted(np.column_stack([ground, level]), xy, frame, errors={"err_bias": error_m, "err_rand": 1.0})
         )
+
+    def sensor(self, shape: tuple[int, int], level: float) -> RangeDopplerSensor:
+        """Return the same geometry as a product states it: state vectors every 10 s, timing and range.
+
+        `shape` is the image's (H, W), `level` the height of the ground in metres that it states.
+        """
+        interval = self.spacing[1] / RATE
+        first = -self.middle[1] * interval
+        steps = np.arange(math.floor(first / EVERY) - 4, math.ceil((first + shape[0] * interval) / EVERY) + 5)
+        times = np.asarray(steps * EVERY, np.float64)
+        s, c = np.sin(RATE * times)[:, None], np.cos(RATE * times)[:, None]
+        toward, along = np.array(self.toward), np.array(self.along)
+        return RangeDopplerSensor(
+            times, ORBIT * (c * toward + s * along), ORBIT * RATE * (c * along - s * toward), interval, shape,
+            first_line_time=first, near_range=self.distance - self.middle[0] * self.spacing[0],
+            range_spacing=self.spacing[0], ground_m=level,
+        )  # fmt: skip
 
     @property
     def uncertainty_px(self) -> float:

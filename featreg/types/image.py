@@ -18,17 +18,19 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, eq=False)
 class Geolocation(ReadOnlyArrays):
-    """Where an image lies on the ground, as its file says it; any of the three forms may be missing.
+    """Where an image lies on the ground, as its file says it; any of the four forms may be missing.
 
     `transform` is GDAL's affine (a, b, c, d, e, f) from pixel corners to `crs` (WKT or authority code); `rpcs` holds
     the rational polynomial coefficients under rasterio's names; `gcps` rows are (x, y, ground x, ground y, ground z)
-    with x, y in this package's pixel convention.
+    with x, y in this package's pixel convention; `sensor` is the exact geometry that the metadata of a product state,
+    plain values from which `featreg.geolocation.sensor_from_dict` makes the sensor.
     """
 
     transform: tuple[float, float, float, float, float, float] | None = None
     crs: str | None = None
     rpcs: Mapping[str, Any] | None = None
     gcps: FloatArray | None = None
+    sensor: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
         if self.gcps is not None:
