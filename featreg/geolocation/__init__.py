@@ -1,6 +1,7 @@
 """Where images lie on the ground: sensors, heights, the transfer between two images, their overlap, RPC bias.
 
 Sensor
+├── SicdSensor            the image projections of a SICD
 ├── RangeDopplerSensor    state vectors of an orbit and the times of the pixels
 ├── RpcSensor             rational polynomial coefficients
 ├── GeotransformSensor    affine grid in a map projection
@@ -20,6 +21,7 @@ from featreg.geolocation.rpc import RpcSensor
 from featreg.geolocation.rpc_bias import RpcBias
 from featreg.geolocation.sensor import Sensor
 from featreg.geolocation.sensors import ground_level, sensor_from_dict, sensor_of
+from featreg.geolocation.sicd import SicdSensor
 from featreg.geolocation.transfer import Transfer
 
 __all__ = [
@@ -34,6 +36,7 @@ __all__ = [
     "RpcBias",
     "RpcSensor",
     "Sensor",
+    "SicdSensor",
     "Transfer",
     "find_overlap",
     "ground_level",

@@ -12,12 +12,14 @@ from featreg.geolocation.geotransform import GeotransformSensor
 from featreg.geolocation.range_doppler import RangeDopplerSensor
 from featreg.geolocation.rpc import RpcSensor
 from featreg.geolocation.sensor import Sensor
+from featreg.geolocation.sicd import SicdSensor
 from featreg.types import Geolocation
 
 #: Whence the height of the ground comes where nobody states it.
 STATED: Mapping[type[Sensor], str] = {
     RpcSensor: "height offset of the RPC",
     GcpSensor: "mean height of the ground control points",
+    SicdSensor: "scene centre point of the SICD",
 }
 
 
@@ -88,10 +90,12 @@ def sensor_from_dict(values: Mapping[str, Any]) -> Sensor:
             return GcpSensor(**given)
         if kind == "corrected":
             return CorrectedSensor(sensor_from_dict(given["sensor"]), given["bias"])
+        if kind == "sicd":
+            return SicdSensor(**given)
         if kind == "range-doppler":
             return RangeDopplerSensor(**given)
     except (TypeError, KeyError) as error:
         raise InputError(f"no sensor of type '{kind}' has the values {sorted(given)}: {error}") from error
     raise InputError(
-        f"a sensor's type must be 'range-doppler', 'rpc', 'geotransform', 'gcps' or 'corrected', got {kind!r}"
+        f"a sensor's type must be 'sicd', 'range-doppler', 'rpc', 'geotransform', 'gcps' or 'corrected', got {kind!r}"
     )
