@@ -6,6 +6,7 @@ pydantic, and neither gives the numbers that a sensor needs in one piece.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
@@ -23,17 +24,26 @@ LIGHT = 299_792_458.0
 ACCURACY_M = 15.0
 #: Bytes of an annotation at most; real ones have 2 MB.
 LARGEST = 64 << 20
+#: A measurement of a SAFE folder: what stands before that folder's parts, and its name.
+MEASUREMENT = re.compile(r"((?:.*[/\\])?)measurement[/\\]([^/\\]+)\.tiff?", re.IGNORECASE)
 
 
 def annotation_of(measurement: str | Path) -> Path | None:
     """Return the annotation of a measurement in its SAFE folder, ``annotation/NAME.xml``; None where it has none."""
-    path = Path(measurement)
-    beside = path.parent.parent / "annotation" / f"{path.stem}.xml"
-    return beside if path.parent.name == "measurement" and beside.is_file() else None
+    name = annotation_name(str(measurement))
+    return Path(name) if name is not None and Path(name).is_file() else None
 
 
-def sensor_of_annotation(path: str | Path) -> dict[str, Any]:
+def annotation_name(measurement: str) -> str | None:
+    """Return what the annotation of a measurement is called; None of a file that lies in no such folder."""
+    found = MEASUREMENT.fullmatch(measurement)
+    return None if found is None else f"{found[1]}annotation/{found[2]}.xml"
+
+
+def sensor_of_annotation(path: str | Path, content: bytes | None = None) -> dict[str, Any]:
     """Return what `featreg.geolocation.RangeDopplerSensor` takes, from the annotation of a GRD or SLC measurement.
+
+    `content` are its bytes, where they are at hand.
 
     Raises
     ------
@@ -51,7 +61,7 @@ def sensor_of_annotation(path: str | Path) -> dict[str, Any]:
     agrees with them better when their times are shifted by the fraction of a second that lies between the two series
     (0.07 against 1.5 px in the Alps), they are. Half of what neighbouring polynomials differ by counts as inaccuracy.
     """
-    root = parsed(path)
+    root = parsed(path, content)
     try:
         return _sensor(root)
     except (AttributeError, TypeError, ValueError, IndexError) as error:
@@ -60,7 +70,7 @@ def sensor_of_annotation(path: str | Path) -> dict[str, Any]:
         ) from error
 
 
-def parsed(path: str | Path) -> ElementTree.Element:
+def parsed(path: str | Path, content: bytes | None = None) -> ElementTree.Element:
     """Return the root of an XML file; no entity of its own is taken from it.
 
     Raises
@@ -69,9 +79,9 @@ def parsed(path: str | Path) -> ElementTree.Element:
         It cannot be read, is larger than any such file, or is no XML.
     """
     try:
-        if Path(path).stat().st_size > LARGEST:
+        if content is None and Path(path).stat().st_size > LARGEST:
             raise InputError(f"{path}: is larger than {LARGEST >> 20} MB, no annotation is")
-        text = Path(path).read_bytes()
+        text = Path(path).read_bytes() if content is None else content
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
     if b"<!ENTITY" in text or b"<!DOCTYPE" in text:

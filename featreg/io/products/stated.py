@@ -1,0 +1,66 @@
+"""The sensor that the metadata of a product state, found from its raster file."""
+
+from __future__ import annotations
+
+import logging
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from featreg.errors import InputError
+from featreg.io.products.capella import metadata_of, sensor_of_capella
+from featreg.io.products.sentinel1 import LARGEST, annotation_name, sensor_of_annotation
+
+logger = logging.getLogger(__name__)
+
+
+def stated_sensor(name: str, tags: Mapping[str, str], shape: tuple[int, int]) -> dict[str, Any] | None:
+    """Return the sensor of a raster file that a product's metadata locate, as plain values; None of any other file.
+
+    Parameters
+    ----------
+    name : of the file as GDAL opened it, also inside an archive (``/vsizip/...``)
+    tags : of the dataset
+    shape : (H, W) of the raster
+
+    Notes
+    -----
+    Sentinel-1: ``annotation/NAME.xml`` of a measurement in its SAFE folder or archive. Capella: the TIFF's description,
+    or the JSON beside it. Metadata that cannot be used, or that describe an image of another size (a part that was cut
+    out), are left out, and the log says so: what the raster itself states is used then.
+    """
+    try:
+        found = _found(name, tags)
+    except (InputError, OSError, zipfile.BadZipFile, KeyError, ValueError) as error:
+        logger.warning("%s: the metadata of its product cannot be used (%s)", name, " ".join(str(error).split()))
+        return None
+    if found is not None and tuple(found["shape"]) != tuple(shape):
+        height, width = found["shape"]
+        logger.warning(
+            "%s: has %d x %d pixels, and the metadata of its product describe %d x %d: they are left out",
+            name, shape[1], shape[0], width, height,
+        )  # fmt: skip
+        return None
+    return found
+
+
+def _found(name: str, tags: Mapping[str, str]) -> dict[str, Any] | None:
+    annotation = annotation_name(name)
+    if annotation is not None:
+        content = _content(annotation)
+        return None if content is None else sensor_of_annotation(annotation, content)
+    text = metadata_of(name, tags.get("TIFFTAG_IMAGEDESCRIPTION"))
+    return None if text is None else sensor_of_capella(text, name)
+
+
+def _content(name: str) -> bytes | None:
+    """The bytes of a file, in an archive or not; None where there is none."""
+    archive, _, inside = name.removeprefix("/vsizip/").partition(".zip/")
+    if name.startswith("/vsizip/") and inside:
+        with zipfile.ZipFile(f"{archive.replace('{', '')}.zip") as opened:
+            if inside not in opened.namelist() or opened.getinfo(inside).file_size > LARGEST:
+                return None
+            return opened.read(inside)
+    path = Path(name)
+    return path.read_bytes() if path.is_file() and path.stat().st_size <= LARGEST else None

@@ -1,0 +1,170 @@
+"""Sensors from the metadata of products that the test writes: Capella's JSON, NISAR's HDF5, archives of Sentinel-1."""
+
+from __future__ import annotations
+
+import json
+import logging
+import zipfile
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from featreg.errors import InputError
+from featreg.geolocation import sensor_from_dict
+from featreg.geolocation.ellipsoid import earth_fixed
+from featreg.io.products.capella import sensor_of_capella
+from featreg.io.products.nisar import sensor_of_nisar
+from featreg.io.products.stated import stated_sensor
+from featreg.io.products.vectors import seconds, thinned
+from featreg.simulate.orbit import RangeDoppler
+
+SHAPE = (900, 1200)
+POINTS = np.random.default_rng(0).uniform(0, [SHAPE[1], SHAPE[0]], (30, 2))
+
+
+def exact() -> RangeDoppler:
+    return RangeDoppler.over((12.0, 47.0), SHAPE, incidence_deg=35.0, heading_deg=-12.0, pixel=1.0, height=400.0)
+
+
+def stamp(time: float) -> str:
+    """A time of the simulated orbit in nanoseconds, as Capella writes it."""
+    whole = round(time * 1e9)
+    moment = datetime(2024, 5, 6, 7, 8, 9) + timedelta(seconds=whole // 10**9)
+    return f"{moment.isoformat()}.{whole % 10**9:09d}Z"
+
+
+def capella(**changes: Any) -> str:
+    o = exact().sensor(SHAPE, 400.0)
+    centre = earth_fixed(np.array([[12.0, 47.0]]), np.array([400.0]))[0]
+    vectors = [
+        {"time": stamp(t), "position": p, "velocity": v}
+        for t, p, v in zip(o.times.tolist(), o.positions.tolist(), o.velocities.tolist(), strict=True)
+    ]
+    geometry = {
+        "type": "slant_plane",
+        "doppler_centroid_polynomial": {"type": "standard", "degree": [0, 0], "coefficients": [[0.0]]},
+        "first_line_time": stamp(o.first_line_time),
+        "delta_line_time": o.line_interval,
+        "range_to_first_sample": o.near_range,
+        "delta_range_sample": o.range_spacing,
+    } | changes
+    image = {"rows": SHAPE[0], "columns": SHAPE[1], "image_geometry": geometry}
+    image["center_pixel"] = {"target_position": centre.tolist()}
+    state = {"coordinate_system": {"type": "ecef"}, "state_vectors": vectors}
+    return json.dumps({"collect": {"image": image, "state": state, "radar": {"pointing": "right"}}})
+
+
+def agrees(values: Any, atol: float = 2e-5) -> None:
+    """A sensor of these values sees ground points where the simulated orbit does; a nanosecond is 1e-5 px."""
+    sensor = sensor_from_dict(values)
+    for height in (0.0, 3000.0):
+        ground = exact().image_to_ground(POINTS, height)
+        np.testing.assert_allclose(sensor.ground_to_image(ground, height), POINTS, atol=atol)
+
+
+class TestCapella:
+    def test_json_of_the_tag(self) -> None:
+        values = stated_sensor("scene.tif", {"TIFFTAG_IMAGEDESCRIPTION": capella()}, SHAPE)
+        assert values is not None
+        agrees(values)
+        assert values["ground_m"] == pytest.approx(400.0, abs=0.01)
+
+    @pytest.mark.parametrize("name", ["scene.json", "scene_extended.json"])
+    def test_json_beside_the_image(self, tmp_path: Path, name: str) -> None:
+        (tmp_path / name).write_text(capella())
+        agrees(stated_sensor(str(tmp_path / "scene.tif"), {}, SHAPE))
+
+    @pytest.mark.parametrize(
+        "changes",
+        [{"type": "pfa"}, {"type": "geotransform"}, {"doppler_centroid_polynomial": {"coefficients": [[120.0, 1.0]]}}],
+    )
+    def test_images_of_another_geometry(self, changes: dict[str, Any]) -> None:
+        assert sensor_of_capella(capella(**changes), "scene.tif") is None
+
+    def test_broken(self, caplog: pytest.LogCaptureFixture) -> None:
+        with pytest.raises(InputError, match=r"scene\.tif: its metadata"):
+            sensor_of_capella(capella(first_line_time="once"), "scene.tif")
+        with caplog.at_level(logging.WARNING):
+            assert stated_sensor("a.tif", {"TIFFTAG_IMAGEDESCRIPTION": '{"collect": {}}'}, SHAPE) is None
+        assert "cannot be used" in caplog.text
+
+    def test_a_part_that_was_cut_out(self, caplog: pytest.LogCaptureFixture) -> None:
+        with caplog.at_level(logging.WARNING):
+            assert stated_sensor("a.tif", {"TIFFTAG_IMAGEDESCRIPTION": capella()}, (100, 100)) is None
+        assert "describe 1200 x 900" in caplog.text
+
+    def test_other_files(self, tmp_path: Path) -> None:
+        assert stated_sensor(str(tmp_path / "a.tif"), {"TIFFTAG_IMAGEDESCRIPTION": "a picture"}, SHAPE) is None
+        (tmp_path / "a.json").write_text('{"type": "FeatureCollection"}')
+        assert stated_sensor(str(tmp_path / "a.tif"), {}, SHAPE) is None
+
+
+class TestSentinel1:
+    @pytest.fixture
+    def text(self) -> str:
+        import importlib.util
+
+        spec = importlib.util.spec_from_file_location("made_annotation", Path(__file__).with_name("test_sentinel1.py"))
+        assert spec is not None
+        assert spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        made: str = module.annotation("stripmap")[0]
+        return made
+
+    def test_in_a_folder_and_in_an_archive(self, tmp_path: Path, text: str) -> None:
+        folder = tmp_path / "S1A.SAFE"
+        (folder / "annotation").mkdir(parents=True)
+        (folder / "annotation" / "s1a-vv.xml").write_text(text)
+        plain = stated_sensor(str(folder / "measurement" / "s1a-vv.tiff"), {}, SHAPE)
+        assert plain is not None
+        with zipfile.ZipFile(tmp_path / "S1A.zip", "w") as archive:
+            archive.write(folder / "annotation" / "s1a-vv.xml", "S1A.SAFE/annotation/s1a-vv.xml")
+        inside = f"/vsizip/{tmp_path}/S1A.zip/S1A.SAFE/measurement/s1a-vv.tiff"
+        assert stated_sensor(inside, {}, SHAPE) == plain
+        assert stated_sensor(inside.replace("s1a-vv", "other"), {}, SHAPE) is None
+        assert stated_sensor(str(folder / "measurement" / "other.tiff"), {}, SHAPE) is None
+
+
+class TestNisar:
+    @pytest.fixture
+    def path(self, tmp_path: Path) -> Path:
+        h5py = pytest.importorskip("h5py")
+        o = exact().sensor(SHAPE, 400.0)
+        path = tmp_path / "rslc.h5"
+        with h5py.File(path, "w") as file:
+            root = file.create_group("science/LSAR")
+            root["identification/lookDirection"] = np.bytes_("Right")
+            swaths = root.create_group("RSLC/swaths")
+            lines = swaths.create_dataset(
+                "zeroDopplerTime", data=100 + o.first_line_time + np.arange(SHAPE[0]) * o.line_interval
+            )
+            lines.attrs["units"] = np.bytes_("seconds since 2024-05-06T07:06:29")
+            own = swaths.create_group("frequencyA")
+            own["slantRange"] = o.near_range + np.arange(SHAPE[1]) * o.range_spacing
+            own["HH"] = np.zeros((4, 4), np.complex64)
+            orbit = root.create_group("RSLC/metadata/orbit")
+            times = orbit.create_dataset("time", data=o.times)
+            times.attrs["units"] = "seconds since 2024-05-06 07:08:09"
+            orbit["position"], orbit["velocity"] = o.positions, o.velocities
+        return path
+
+    def test_orbit_and_timing(self, path: Path) -> None:
+        h5py = pytest.importorskip("h5py")
+        with h5py.File(path) as file:
+            agrees(sensor_of_nisar(file, "/science/LSAR/RSLC/swaths/frequencyA/HH"))
+            assert sensor_of_nisar(file, "/science/LSAR/RSLC/swaths/zeroDopplerTime") is None
+            with pytest.raises(InputError, match="lacks what says where it lies"):
+                sensor_of_nisar(file, "/science/LSAR/RSLC/swaths/frequencyB/HH")
+
+
+def test_state_vectors_around_an_image() -> None:
+    times = np.arange(-1000.0, 1000.0)
+    kept = thinned(times, 0.0, 10.0)
+    assert times[kept][[0, -1]].tolist() == [-5.0, 14.0]
+    many = thinned(np.arange(-10.0, 1000.0, 0.1), 0.0, 900.0)
+    assert len(many) == 120
+    np.testing.assert_allclose(seconds(["2024-01-01T00:00:01.5Z"], "2024-01-01T00:00:00.000000001"), [1.499999999])
