@@ -58,15 +58,11 @@ def family(process: int) -> list[int]:
     return found
 
 
-def measured(place: Path, workers: int, block: int) -> dict[str, Any]:
-    """Run the command on a pair; what it took and how well it did."""
-    out = place / "result.json"
-    images = [str(place / "reference.tif"), str(place / "secondary.tif")]
-    command = [sys.executable, "-m", "featreg", "match", *images, "--dem", str(place / "dem.tif")]
-    command += ["--model", "rpc-bias", "--block", str(block), "--workers", str(workers), "--json", str(out)]
+def run_measured(arguments: list[str]) -> dict[str, Any]:
+    """Run `featreg` with these arguments; wall and processor time and the largest proportional memory."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     start = time.perf_counter()
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    process = subprocess.Popen([sys.executable, "-m", "featreg", *arguments], stdout=subprocess.DEVNULL)
     peak = {"all": 0, "command": 0}
 
     def watch() -> None:
@@ -82,7 +78,22 @@ def measured(place: Path, workers: int, block: int) -> dict[str, Any]:
     watcher.join()
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     if code != 0:
-        raise SystemExit(f"featreg match ended with {code}")
+        raise SystemExit(f"featreg {arguments[0]} ended with {code}")
+    return {
+        "wall s": round(seconds, 2),
+        "processor s": round(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, 2),
+        "MB command": peak["command"] >> 20,
+        "MB all": peak["all"] >> 20,
+    }
+
+
+def measured(place: Path, workers: int, block: int) -> dict[str, Any]:
+    """Run the command on a pair; what it took and how well it did."""
+    out = place / "result.json"
+    images = [str(place / "reference.tif"), str(place / "secondary.tif")]
+    command = ["match", *images, "--dem", str(place / "dem.tif")]
+    command += ["--model", "rpc-bias", "--block", str(block), "--workers", str(workers), "--json", str(out)]
+    figures = run_measured(command)
     result = Registration.from_json(out)
     if result.reference is None:
         raise SystemExit(f"{out} does not say the size of its reference")
@@ -90,18 +101,14 @@ def measured(place: Path, workers: int, block: int) -> dict[str, Any]:
     x, y = np.meshgrid(np.linspace(0.1, 0.9, 9) * width, np.linspace(0.1, 0.9, 9) * height)
     grid = np.column_stack([x.ravel(), y.ravel()])
     off = np.zeros(1) if not result.model else result.model(grid) - read_scene_truth(place / "truth.json")(grid)
-    processor = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     blocks = result.provenance["blocks"]["total"]
     return {
         "size": f"{height} x {width}",
         "workers": workers,
         "blocks": blocks,
-        "wall s": round(seconds, 2),
-        "processor s": round(processor, 2),
+        **figures,
         "ms a block": round(1000 * sum(result.provenance["block_seconds"].values()) / blocks, 1),
-        "ns a pixel": round(1e9 * processor / (width * height), 1),
-        "MB command": peak["command"] >> 20,
-        "MB all": peak["all"] >> 20,
+        "ns a pixel": round(1e9 * figures["processor s"] / (width * height), 1),
         "tie points": int(result.inliers.sum()),
         "grid RMSE px": round(float(np.sqrt(np.mean(np.sum(np.atleast_2d(off) ** 2, axis=1)))), 4),
     }
