@@ -2,7 +2,8 @@
 
     FeatregError
     ├── InputError              a file, an array, a mask or a truth that cannot be used as it is
-    │   └── NoOverlapError           two images that do not see the same ground
+    │   ├── NoOverlapError           two images that do not see the same ground
+    │   └── NoModelError             something asked of a model that could not be fitted
     ├── ParameterError          a parameter that does not exist, is ambiguous or has an impossible value
     ├── UnknownNameError        no plugin or preset of that name
     ├── PluginError             a plugin that breaks the rules of the registry
@@ -30,6 +31,10 @@ class InputError(FeatregError, ValueError):
 
 class NoOverlapError(InputError):
     """Two images do not see the same ground; the text says where each lies."""
+
+
+class NoModelError(InputError, AttributeError):
+    """Something was asked of a model that could not be fitted; the text says why it could not."""
 
 
 class ParameterError(FeatregError, ValueError):

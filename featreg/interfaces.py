@@ -10,11 +10,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, NoReturn, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from featreg.errors import NoModelError
 from featreg.types import BoolArray, Features, FloatArray, Image, IntArray, Matches
 
 #: Reach of a plugin that states none, px: as much as the methods here that look around themselves most widely.
@@ -153,12 +154,25 @@ class Filter(Plugin):
 
 @dataclass(frozen=True)
 class FailedFit:
-    """What a fit returns when it cannot be made: falsy, and says why."""
+    """What a fit returns when it cannot be made: falsy, and says why.
+
+    Whoever uses it as a model all the same is told why there is none: a `NoModelError`, which is an `InputError` and an
+    `AttributeError`.
+    """
 
     reason: str
 
     def __bool__(self) -> Literal[False]:
         return False
+
+    def __getattr__(self, name: str) -> NoReturn:
+        # What begins with an underscore is asked for by protocols (copying, pickling, notebooks), not by people.
+        if name.startswith("_"):
+            raise AttributeError(name)
+        raise NoModelError(f"there is no model, and so no '{name}': {self.__dict__.get('reason', '')}")
+
+    def __call__(self, *args: Any, **options: Any) -> NoReturn:
+        raise NoModelError(f"there is no model that could map points: {self.reason}")
 
 
 class Model(ABC):

@@ -38,7 +38,7 @@ def assert_equal(a: Registration, b: Registration) -> None:
     for name, mask in a.stages.items():
         np.testing.assert_array_equal(mask, b.stages[name])
     np.testing.assert_array_equal(a.inliers, b.inliers)
-    np.testing.assert_array_equal(a.model.matrix, b.model.matrix)  # type: ignore[union-attr]
+    np.testing.assert_array_equal(a.model.matrix, b.model.matrix)
     assert (a.status, a.reason, dict(a.gates)) == (b.status, b.reason, dict(b.gates))
 
 
@@ -149,7 +149,7 @@ def test_one_scene_in_any_dress_gives_the_same_registration(pair: SimulatedPair,
     plain = run(pair)
     found = featreg.match(dressed(pair.reference), dressed(pair.secondary), scale=scale)
     assert found.status == "ok"
-    assert grid_rmse(found, plain.model.matrix[:2]) < 0.1  # type: ignore[union-attr, index]
+    assert grid_rmse(found, plain.model.matrix[:2]) < 0.1  # type: ignore[index]
 
 
 def test_different_gains_and_depths_of_the_two_images(pair: SimulatedPair) -> None:
@@ -359,7 +359,7 @@ def test_matches_far_from_the_initial_model_are_dropped_first(pair: SimulatedPai
 @pytest.mark.parametrize("form", ["model", "matrix", "registration"])
 def test_initial_may_be_a_model_a_matrix_or_a_result(pair: SimulatedPair, form: str) -> None:
     before = run(pair)
-    initial = {"model": before.model, "matrix": before.model.matrix, "registration": before}[form]  # type: ignore[union-attr]
+    initial = {"model": before.model, "matrix": before.model.matrix, "registration": before}[form]
     assert run(pair, initial=initial, search_radius=5.0).status == "ok"
 
 

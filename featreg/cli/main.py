@@ -19,6 +19,7 @@ import typer
 from featreg._version import __version__
 from featreg.cli import compare, demo, doctor, explain, export, focus, listing, mark, match, sweep, warp
 from featreg.errors import FeatregError, UnknownNameError, suggest
+from featreg.runtime.progress import close_bars
 
 COMMANDS: dict[str, Callable[..., None]] = {
     "match": match.match,
@@ -82,7 +83,10 @@ def _run(given: Sequence[str]) -> int:
             if not sys.warnoptions:
                 warnings.simplefilter("ignore")
             _check_command(given)
-            code = app(args=given, prog_name="featreg", standalone_mode=False)
+            try:
+                code = app(args=given, prog_name="featreg", standalone_mode=False)
+            finally:
+                close_bars()
     except KeyboardInterrupt:
         return 130
     except SystemExit as stop:

@@ -15,6 +15,7 @@ import typer
 from featreg.errors import InputError, ParameterError, suggest
 from featreg.pipeline.keywords import BY_NAME
 from featreg.runtime.files import folder_of, is_stream
+from featreg.runtime.progress import ProgressBar
 
 COMPILING = "compiling kernels, the first time only (about half a minute)"
 WORDS = {"true": True, "false": False, "none": None, "inf": float("inf"), "-inf": float("-inf"), "nan": float("nan")}
@@ -224,14 +225,8 @@ def progress(text: str) -> None:
 
 
 def counter(text: str) -> Callable[[int, int], None] | None:
-    """Return a callback that keeps one line of progress up to date, or None when nobody looks at stderr."""
-    if not sys.stderr.isatty():
-        return None
-
-    def show(done: int, total: int) -> None:
-        typer.echo(f"\r{text}: {done} of {total}", err=True, nl=done == total)
-
-    return show
+    """Return a callback that keeps a bar of progress up to date, or None when nobody looks at stderr."""
+    return ProgressBar(text) if sys.stderr.isatty() else None
 
 
 def announce_compiling() -> None:

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from featreg.geometry import decompose, local_linear
 from featreg.interfaces import FailedFit, Model
 from featreg.pictures.panels import Gray, checkerboard, display, overlay, views_to_draw_on
 from featreg.pictures.sheet import FAINT, INK, Colour, Lines, Note, Sheet, checked_target
+from featreg.pictures.spread import spread_out
 from featreg.results.registration import Registration
 from featreg.study.truth import Truth, TruthLike, read_truth
 from featreg.types import BoolArray, FloatArray, Image
@@ -115,25 +116,48 @@ def draw_registration(
     side, are one pixel of theirs. The other parameters, and the errors, are those of `draw_matches`.
     """
     checked_target(path)
+    registration_sheet(reference, secondary, registration, truth, factors=factors).write(path)
+
+
+def registration_sheet(
+    reference: Image,
+    secondary: Image,
+    registration: Registration,
+    truth: TruthLike | None = None,
+    *,
+    factors: tuple[int, int] = (1, 1),
+    at_hand: bool = True,
+    verdict: bool = True,
+) -> Sheet:
+    """Return the sheet of `draw_registration`.
+
+    Without images `at_hand` the two given are frames of any size to draw in, and the lower panels are left out; without
+    a `verdict` so are status and figures, as of tie points that nobody judged.
+    """
     known = _known(truth)
     groups = _groups(registration, known, 1.5)
     views = views_to_draw_on(reference, secondary)
-    (height, width), (far_height, far_width) = reference.shape, secondary.shape
-    shape = height * factors[0], width * factors[0]
-    far_shape = far_height * factors[1], far_width * factors[1]
+    shapes = [(image.shape[0] * factor, image.shape[1] * factor) for image, factor in
+              zip((reference, secondary), factors, strict=True)]  # fmt: skip
     rows: list[list[Gray]] = [views]
     labels = ["reference", "secondary"]
-    if registration.model:
+    if not at_hand:
+        said = (registration.reference, registration.secondary)
+        shapes = [shape if image is None else image.shape for shape, image in zip(shapes, said, strict=True)]
+        labels = [f"{label}: its image is not at hand" for label in labels]
+    elif registration.model:
         from featreg.products.resample import resample
 
         reduced = _reduced(registration.model, factors)
         aligned = resample(secondary, reduced, reference.shape, resampling="bilinear")
         rows.append([checkerboard(reference, aligned), overlay(reference, aligned)])
         labels += [CHECKERBOARD, OVERLAY]
-    figures = _figures(registration, shape, known)
-    header = [[*_status(registration), *figures], _counts(registration, groups)]
-    lines = _lines(registration, groups, views, (shape, far_shape), 250)
-    Sheet(rows, labels, header, lines).write(path)
+    header: list[list[Note]] = []
+    if verdict:
+        header = [[*_status(registration), *_figures(registration, shapes[0], known)]]
+    header.append(_counts(registration, groups))
+    lines = _lines(registration, groups, views, (shapes[0], shapes[1]), 250)
+    return Sheet(rows, labels, header, lines)
 
 
 def _reduced(model: Model, factors: tuple[int, int]) -> Callable[[FloatArray], FloatArray]:
@@ -146,19 +170,6 @@ def _reduced(model: Model, factors: tuple[int, int]) -> Callable[[FloatArray], F
         return (model(here * xy + (here - 1) / 2) - (there - 1) / 2) / there
 
     return mapped
-
-
-def spread_out(xy: FloatArray, score: FloatArray, count: int) -> NDArray[np.int64]:
-    """Rows of at most `count` points that cover the area: the best of every cell of a grid, then the second best."""
-    if len(xy) <= count:
-        return np.arange(len(xy))
-    low, extent = xy.min(axis=0), np.maximum(np.ptp(xy, axis=0), 1e-9)
-    cells = np.ceil(np.sqrt(count * extent / extent[::-1])).clip(1, count)
-    cell = np.minimum((xy - low) / extent * cells, cells - 1).astype(np.int64) @ [1, 1 << 20]
-    order = np.lexsort((-score, cell))
-    first = np.r_[True, np.diff(cell[order]) != 0]
-    rank = np.arange(len(xy)) - np.flatnonzero(first)[np.cumsum(first) - 1]
-    return np.sort(order[np.lexsort((-score[order], rank))[:count]])
 
 
 def _known(truth: TruthLike | None) -> Truth | None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +62,15 @@ class Sheet:
             The folder is missing or the name does not end in .png.
         """
         target = checked_target(path)
+        import cv2
+
+        canvas: Any = self.figure().canvas
+        canvas.draw()
+        _, encoded = cv2.imencode(".png", np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., 2::-1]))
+        write_atomic(target, encoded.tobytes())
+
+    def figure(self) -> Any:
+        """Return the sheet as a `matplotlib.figure.Figure`, pixel for pixel at its own resolution."""
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
 
@@ -80,8 +91,7 @@ class Sheet:
         for (x, y), panel in zip(places, panels, strict=True):
             h, w = panel.shape[:2]
             canvas[y : y + h, x : x + w] = panel if panel.ndim == 3 else panel[..., None]
-        figure = Figure(figsize=(size[0] / DPI, size[1] / DPI), dpi=DPI)
-        agg = FigureCanvasAgg(figure)
+        figure = figure_class()(figsize=(size[0] / DPI, size[1] / DPI), dpi=DPI)
         figure.figimage(canvas, origin="upper", zorder=-1)
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
         axes.set_axis_off()
@@ -96,11 +106,28 @@ class Sheet:
             if note.dot:
                 axes.plot([x + 6], [y], "o", color=_rgb(note.colour), markersize=7)
             _text(axes, x + 18 * note.dot, y, note)
-        agg.draw()
-        import cv2
+        return figure
 
-        _, encoded = cv2.imencode(".png", np.ascontiguousarray(np.asarray(agg.buffer_rgba())[..., 2::-1]))
-        write_atomic(target, encoded.tobytes())
+
+@cache
+def figure_class() -> Any:
+    """Return the class of the figures made here: matplotlib's, which a notebook shows without pyplot too."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    class Drawing(Figure):
+        """A figure that belongs to no window: ``savefig`` writes it, a notebook shows it."""
+
+        def __init__(self, *args: Any, **options: Any) -> None:
+            super().__init__(*args, **options)
+            FigureCanvasAgg(self)
+
+        def _repr_png_(self) -> bytes:
+            file = io.BytesIO()
+            self.savefig(file, format="png")
+            return file.getvalue()
+
+    return Drawing
 
 
 def checked_target(path: str | Path) -> Path:

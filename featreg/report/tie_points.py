@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import InputError
-from featreg.pictures.drawing import spread_out
+from featreg.pictures.spread import spread_out
 from featreg.report.data import ReportEntry
 from featreg.results.registration import Registration
 from featreg.study.evaluation import default_stage, stage_mask

@@ -13,13 +13,15 @@ from featreg.errors import InputError
 from featreg.interfaces import FailedFit, Model
 from featreg.results.explaining import explain_registration
 from featreg.results.input_image import InputImage
-from featreg.results.json_file import read_registration, write_registration
+from featreg.results.json_file import read_registration, tie_point_columns, write_registration
 from featreg.results.standard_errors import standard_errors as rigid_errors
+from featreg.results.summary import one_line, summary
+from featreg.runtime.showing import Shown, figure_of
 from featreg.types import BoolArray, FloatArray, Gate, Matches, column
 
 
 @dataclass(frozen=True, eq=False)
-class Registration:
+class Registration(Shown):
     """What `featreg.match` returns.
 
     Parameters
@@ -57,6 +59,31 @@ class Registration:
             raise InputError(f"status must be 'ok' or 'unreliable', got '{self.status}'")
         if self.status == "unreliable" and not self.reason:
             raise InputError("an unreliable registration needs a reason")
+
+    def __repr__(self) -> str:
+        return one_line(self)
+
+    def summary(self) -> str:
+        """Return the verdict, the images, the counts, the model and the gates that failed, in a few lines."""
+        return summary(self)
+
+    def to_dataframe(self) -> Any:
+        """Return a `pandas.DataFrame` of every tie point, with the columns of the result's table."""
+        import pandas as pd
+
+        return pd.DataFrame(tie_point_columns(self))
+
+    def plot(self, reference: Any = None, secondary: Any = None, *, truth: Any = None) -> Any:
+        """Return a `matplotlib.figure.Figure`: tie points on both images, checkerboard and overlay of the aligned pair.
+
+        Parameters
+        ----------
+        reference, secondary : the images that were matched, whatever `featreg.as_image` takes; without them their
+            files are read where they are at hand, unchanged in size and of at most 4 million pixels. Else the tie
+            points stand in empty frames
+        truth : as `featreg.evaluate` takes it; tie points are then correct or false instead of final or not
+        """
+        return figure_of(self, reference=reference, secondary=secondary, truth=truth)
 
     @property
     def putative(self) -> BoolArray:

@@ -8,6 +8,7 @@ from typing import Any
 
 from featreg.errors import InputError, ParameterError
 from featreg.results.registration import Registration
+from featreg.runtime.showing import Shown, figure_of
 from featreg.study.jobs import Job, Method, Outcome, Pair
 from featreg.study.metrics import STANDARD, Case, check_metrics, measured, metric_of, of_failure
 from featreg.study.protocol import Protocol, describe
@@ -15,7 +16,7 @@ from featreg.study.table import Table
 
 
 @dataclass(frozen=True, eq=False)
-class Study:
+class Study(Shown):
     """What came of every job, and the protocol by which it is scored.
 
     Parameters
@@ -36,6 +37,18 @@ class Study:
     protocol: Protocol
     metrics: Sequence[str] = STANDARD
     title: str = ""
+
+    def __repr__(self) -> str:
+        title = f"{self.title[:120]!r}, " if self.title else ""
+        return f"Study({title}{len(self.pairs)} pairs by {len(self.methods)} methods, {len(self.outcomes)} results)"
+
+    def plot(self, metrics: Sequence[str] | None = None) -> Any:
+        """Return a `matplotlib.figure.Figure` of the table; see `featreg.study.table.Table.plot`."""
+        return figure_of(self, metrics=metrics)
+
+    def to_dataframe(self) -> Any:
+        """Return the rows of the table as a `pandas.DataFrame`."""
+        return self.table().to_dataframe()
 
     def case(self, job: Job, threshold: float | None = None) -> Case | None:
         """What a metric looks at; None where the method failed."""

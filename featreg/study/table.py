@@ -16,6 +16,7 @@ import numpy as np
 from featreg.errors import InputError, ParameterError, suggest
 from featreg.results.json_file import plain
 from featreg.runtime.files import write_atomic
+from featreg.runtime.showing import Shown, figure_of
 from featreg.study.intervals import Interval, interval
 from featreg.study.layouts import LAYOUTS, best_of, columns_of
 from featreg.study.metrics import STANDARD, metric_of
@@ -32,7 +33,7 @@ LATEX = str.maketrans(
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
+class Table(Shown):
     """One row for each pair, method and seed, the protocol under which they were made, and how to print them.
 
     Parameters
@@ -242,6 +243,24 @@ class Table:
         sink = pa.BufferOutputStream()
         pq.write_table(arrow.replace_schema_metadata({"featreg": note}), sink, compression="zstd")
         write_atomic(Path(path), sink.getvalue().to_pybytes())
+
+    def cell(self, row: Mapping[str, Any], name: str) -> str:
+        """Return the value of a column as it is printed, empty where there is none."""
+        return _text(row, name)
+
+    def plot(self, metrics: Sequence[str] | None = None) -> Any:
+        """Return a `matplotlib.figure.Figure`: for each metric the pairs, the mean of each method and its interval.
+
+        Parameters
+        ----------
+        metrics : by default those of which more or less is better
+        """
+        return figure_of(self, metrics=metrics)
+
+    def __repr__(self) -> str:
+        pairs = len({row["pair"] for row in self.rows})
+        failed = f", {self.failed} failed" if self.failed else ""
+        return f"Table({len(self.rows)} rows: {pairs} pairs by {len(self.methods)} methods{failed})"
 
     def __str__(self) -> str:
         return self.to_markdown()

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from featreg.errors import InputError
+from featreg.runtime.showing import Shown
 from featreg.types import keypoints as opencv_keypoints
 from featreg.types import lafs as kornia_lafs
 from featreg.types.arrays import (
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Features(ReadOnlyArrays):
+class Features(ReadOnlyArrays, Shown):
     """Keypoints of one image and, once described, their descriptors.
 
     Parameters
@@ -91,6 +92,26 @@ class Features(ReadOnlyArrays):
 
     def __len__(self) -> int:
         return len(self.xy)
+
+    def __repr__(self) -> str:
+        return f"Features({len(self)} points, {self.described_as})"
+
+    @property
+    def described_as(self) -> str:
+        """The form of the descriptors in words."""
+        if self.descriptors is None:
+            return "not described"
+        form = "numbers" if self.norm == "l2" else "bytes of packed bits"
+        return f"descriptors of {self.descriptors.shape[1]} {form}"
+
+    def to_dataframe(self) -> Any:
+        """Return a `pandas.DataFrame` of one row per point: x, y, scale, angle, score, level, subpixel if known."""
+        import pandas as pd
+
+        columns: dict[str, Any] = {"x": self.xy[:, 0], "y": self.xy[:, 1]}
+        columns |= {name: getattr(self, name) for name in ("scale", "angle", "score", "level")}
+        columns |= {} if self.subpixel is None else {"subpixel": self.subpixel}
+        return pd.DataFrame(columns)
 
     def take(self, rows: NDArray[Any]) -> Self:
         """The features of the given rows (indices or a bool mask), in that order."""

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import InputError
+from featreg.runtime.showing import Shown, figure_of
 from featreg.types.arrays import BoolArray, FloatArray, ReadOnlyArrays, kept
 from featreg.types.derived import DerivedMaps
 
@@ -38,7 +39,7 @@ class Geolocation(ReadOnlyArrays):
 
 
 @dataclass(frozen=True, eq=False)
-class Image(ReadOnlyArrays):
+class Image(ReadOnlyArrays, Shown):
     """One SAR image: linear amplitude or complex samples, and which of its pixels are data.
 
     Parameters
@@ -84,6 +85,18 @@ class Image(ReadOnlyArrays):
         if self.filled is not None:
             object.__setattr__(self, "filled", kept(self.filled))
         object.__setattr__(self, "_derived", DerivedMaps())
+
+    def __repr__(self) -> str:
+        height, width = self.shape
+        valid = float(self.mask.mean())
+        more = [] if valid == 1 else [f"{100 * valid:.4g} % valid"]
+        more += [] if self.geolocation is None else ["georeferenced"]
+        name = self.name if len(self.name) <= 200 else f"…{self.name[-199:]}"
+        return f"Image({', '.join([repr(name), f'{width} x {height} px', self.scale, *more])})"
+
+    def show(self) -> Any:
+        """Return a `matplotlib.figure.Figure` of the amplitude, logarithmic between its 1st and 99.5th percentile."""
+        return figure_of(self)
 
     @property
     def shape(self) -> tuple[int, int]:

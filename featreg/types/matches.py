@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import InputError
+from featreg.runtime.showing import Shown, figure_of
 from featreg.types.arrays import FloatArray, IntArray, ReadOnlyArrays, column, points, read_only
 
 
 @dataclass(frozen=True, eq=False)
-class Matches(ReadOnlyArrays):
+class Matches(ReadOnlyArrays, Shown):
     """Tie points: pairs of homologous points of the two images.
 
     Parameters
@@ -58,6 +59,33 @@ class Matches(ReadOnlyArrays):
 
     def __len__(self) -> int:
         return len(self.reference_xy)
+
+    def __repr__(self) -> str:
+        refined = int((self.origin >= 0).sum())
+        more = [f"{refined} refined"] if refined else []
+        more += ["with covariance"] if self.covariance is not None else []
+        return f"Matches({', '.join([f'{len(self)} tie points', *more])})"
+
+    def to_dataframe(self) -> Any:
+        """Return a `pandas.DataFrame` of one row per tie point, with the columns of a result's table that are known."""
+        import pandas as pd
+
+        xy = np.hstack([self.reference_xy, self.secondary_xy]).T
+        names = ("reference_x", "reference_y", "secondary_x", "secondary_y")
+        columns: dict[str, Any] = {**dict(zip(names, xy, strict=True)), "score": self.score, "origin": self.origin}
+        if self.covariance is not None:
+            columns |= {f"cov_{'xy'[i]}{'xy'[j]}": self.covariance[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1))}
+        columns |= {n: getattr(self, n) for n in ("rotation", "scale_ratio") if getattr(self, n) is not None}
+        return pd.DataFrame(columns)
+
+    def plot(self, reference: Any = None, secondary: Any = None) -> Any:
+        """Return a `matplotlib.figure.Figure` of the tie points, on the images where these are given.
+
+        Parameters
+        ----------
+        reference, secondary : whatever `featreg.as_image` takes; without both, empty frames
+        """
+        return figure_of(self, reference=reference, secondary=secondary)
 
     def take(self, rows: NDArray[Any]) -> Self:
         """The matches of the given rows (indices or a bool mask), in that order."""

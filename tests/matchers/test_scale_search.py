@@ -114,9 +114,9 @@ def test_optical_and_sar_pairs_of_any_rotation_and_scale(number: int, realdata: 
     labels = cv2.connectedComponents(dark, connectivity=4)[1]
     corners = {int(labels[y, x]) for y in (0, -1) for x in (0, -1) if dark[y, x]}
     wanted = outline_angle(~np.isin(labels, list(corners)))
-    matrix = np.asarray(reg.model.matrix)  # type: ignore[union-attr]
+    matrix = np.asarray(reg.model.matrix)
     found = np.rad2deg(np.arctan2(matrix[0, 1], matrix[0, 0]))
     assert abs((found - wanted + 45) % 90 - 45) < 2.0
     assert np.sqrt(np.linalg.det(matrix[:2, :2])) == pytest.approx(256 / optical.shape[0], rel=0.04)
-    middle = reg.model(np.array([[(optical.shape[1] - 1) / 2, (optical.shape[0] - 1) / 2]]))[0]  # type: ignore[operator]
+    middle = reg.model(np.array([[(optical.shape[1] - 1) / 2, (optical.shape[0] - 1) / 2]]))[0]
     np.testing.assert_allclose(middle, 127.5, atol=6)

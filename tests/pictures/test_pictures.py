@@ -22,9 +22,9 @@ from featreg.pictures.drawing import (
     draw_overlay,
     draw_registration,
     overlay,
-    spread_out,
 )
 from featreg.pictures.panels import INVALID, PANEL
+from featreg.pictures.spread import spread_out
 from featreg.results.registration import Registration
 from featreg.simulate import SimulatedPair, sar_pair
 from featreg.types import Image, Matches

@@ -41,7 +41,7 @@ def test_a_georeference_that_is_far_off_is_found(scenes: Any, bias: tuple[int, i
     result = featreg.match(located(scenes[0], 0, 0), located(scenes[1], dx, dy), **BLOCKS)
     assert result.status == "ok", result.reason
     at = np.array([[350.0, 350.0], [200, 500], [500, 200]])
-    assert np.abs(result.model(at) - (at - SHIFT)).max() < 0.4  # type: ignore[operator]
+    assert np.abs(result.model(at) - (at - SHIFT)).max() < 0.4
 
 
 def test_beyond_the_limit_the_reason_names_the_search(scenes: Any) -> None:
