@@ -18,7 +18,7 @@ ROOMS = ("detectors", "descriptors", "matchers")
 
 # The library's third-party imports and the distributions that bring them.
 DISTRIBUTIONS = {"annotated_types": "annotated-types", "cv2": "opencv-contrib-python-headless", "yaml": "pyyaml"}
-LATE = {"cv2", "matplotlib", "pandas", "pyarrow", "rasterio", "scipy", "torch", "kornia"}
+LATE = {"cv2", "matplotlib", "pandas", "pyarrow", "rasterio", "scipy", "torch", "kornia", "geopandas", "xarray", "tqdm"}
 
 
 @dataclass(frozen=True)

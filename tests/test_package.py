@@ -59,6 +59,7 @@ PUBLIC = [
     "fit",
     "focus",
     "match",
+    "progress_bar",
     "read_phase_history",
     "read_tie_points",
     "register",
