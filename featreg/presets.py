@@ -303,6 +303,29 @@ PRESETS: Mapping[str, Preset] = {
     "brisk": _opencv("brisk"),
     "sift": _opencv("sift", ratio=0.85),
     "kaze": _opencv("kaze", ratio=0.85),
+    "skimage-orb": Preset(
+        "scikit-image's ORB, detector and descriptor, mutual, GMS, FSC",
+        detector=Part("skimage-orb"),
+        nearest=Part("brute-force"),
+    ),
+    "skimage-sift": Preset(
+        "scikit-image's SIFT, detector and descriptor, ratio test, FSC",
+        detector=Part("skimage-sift"),
+        nearest=Part("brute-force", {"mutual": False, "ratio": 0.85}),
+        filters=(Part("fsc"),),
+    ),
+    "skimage-censure-brief": Preset(
+        "scikit-image's CenSurE and upright BRIEF, mutual, GMS, FSC",
+        detector=Part("skimage-censure", {"non_max_threshold": 0.02}),
+        descriptor=Part("skimage-brief"),
+        nearest=Part("brute-force"),
+    ),
+    "skimage-daisy": Preset(
+        "scikit-image's Foerstner corners and upright DAISY, mutual, GMS, FSC",
+        detector=Part("skimage-foerstner"),
+        descriptor=Part("skimage-daisy"),
+        nearest=Part("brute-force"),
+    ),
     "kornia-dog-sift": _kornia(
         "Differences of Gaussians, RootSIFT in one common direction, ratio test both ways",
         Part("kornia-dog"),

@@ -19,6 +19,7 @@ from featreg.geometry.homography import Homography
 from featreg.geometry.matrix import Affine, Rigid, Similarity, Translation
 from featreg.geometry.polynomial import InverseModel, Polynomial2, Polynomial3
 from featreg.geometry.residual_field import ResidualField
+from featreg.geometry.skimage_transforms import from_skimage, to_skimage
 from featreg.geometry.uncertainty import (
     RigidUncertainty,
     inverse_variances,
@@ -47,6 +48,7 @@ __all__ = [
     "correlated_covariance",
     "decompose",
     "dilution",
+    "from_skimage",
     "inverse_variances",
     "local_linear",
     "model_from_dict",
@@ -60,4 +62,5 @@ __all__ = [
     "rigid_uncertainty",
     "selection_cut",
     "spread",
+    "to_skimage",
 ]

@@ -8,7 +8,7 @@ from functools import lru_cache
 from featreg._version import __version__
 
 #: Beside OpenCV, which comes under four names, the libraries that decide results.
-LIBRARIES = ("numpy", "numba", "scipy", "rasterio")
+LIBRARIES = ("numpy", "numba", "scipy", "scikit-image", "rasterio")
 
 
 @lru_cache(maxsize=1)
