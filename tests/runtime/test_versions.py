@@ -24,7 +24,7 @@ def _afresh() -> Iterator[None]:
 
 def test_every_library_that_decides_results_is_named() -> None:
     found = versions()
-    assert list(found) == ["featreg", "python", "numpy", "numba", "scipy", "rasterio", "opencv"]
+    assert list(found) == ["featreg", "python", "numpy", "numba", "scipy", "scikit-image", "rasterio", "opencv"]
     assert found["featreg"] == featreg.__version__
     assert found["numpy"] == np.__version__
     assert version_of("no-such-distribution") is None
