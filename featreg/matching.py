@@ -16,13 +16,14 @@ from featreg.focusing.inputs import Focus, check_method, focused_input, focused_
 from featreg.geometry import as_model
 from featreg.interfaces import Matcher, Model
 from featreg.io import ImageLike, as_image
+from featreg.io.bands import BandLike, check_band
 from featreg.io.images import small_image
 from featreg.io.masks import MaskLike
 from featreg.io.raster_source import open_source
 from featreg.pipeline.assembly import DEFAULT_METHOD, assemble_all
 from featreg.pipeline.choosing import first_trusted
 from featreg.pipeline.feature_matcher import FeatureMatcher
-from featreg.pipeline.keywords import of_pipeline
+from featreg.pipeline.keywords import bands_of, of_pipeline
 from featreg.pipeline.pipeline import Pipeline
 from featreg.results.registration import Registration
 from featreg.runtime.cluster import dask_client
@@ -56,6 +57,9 @@ def match(
     secondary_mask: MaskLike | None = None,
     nodata: complex | None = None,
     scale: str | None = None,
+    band: BandLike = None,
+    reference_band: BandLike = None,
+    secondary_band: BandLike = None,
     focus: Focus | None = None,
     block: int | bool | None = None,
     dem: str | Path | None = None,
@@ -73,7 +77,7 @@ def match(
 
     Parameters
     ----------
-    reference, secondary : paths, 2-D arrays (real or complex) or `Image`
+    reference, secondary : paths (docs/formats.md), 2-D arrays (real or complex) or `Image`
     method : a preset's name (`featreg.available("method")`), a `Pipeline` or a `Matcher`; "auto" tries several presets
         and stops at the first that is trusted, `progress` then counts each anew
     model : "translation", "rigid", "similarity", "affine" (default), "homography", "polynomial2", "polynomial3",
@@ -85,6 +89,8 @@ def match(
     reference_mask, secondary_mask : pixels that are data: arrays, mask files or polygons
     nodata : value of samples that are not data
     scale : "amplitude", "intensity" or "db", what real samples are
+    band : of both files: a name ("VV"), a number from 1, "iq" for complex samples of two bands, "rgb"
+    reference_band, secondary_band : of either file, in place of `band`
     focus : autofocus of complex images first: a method of `featreg.focus`, or a function from an `Image` to its result,
         which may know the azimuth axis or a carrier; an image whose focus is not trusted stays as it is
     block : side in pixels of the blocks in which to work, False for the whole images at once; None works in blocks of
@@ -123,11 +129,14 @@ def match(
     size = block_side(block, dem, height, model)
     most = MOST_PIXELS if size is None else math.inf
     given, masks = (reference, secondary), (reference_mask, secondary_mask)
+    bands = bands_of({"band": band, "reference_band": reference_band, "secondary_band": secondary_band})
+    for asked in bands:
+        check_band(asked)
     reading: Any = {"nodata": nodata, "scale": scale}
     images: list[Image | None] = [None, None]
     with cancellable(cancel), collecting() as seconds, stage("read"):
         for i in range(0 if size else 2):
-            images[i] = small_image(given[i], most, mask=masks[i], **reading)
+            images[i] = small_image(given[i], most, mask=masks[i], band=bands[i], **reading)
             if images[i] is None:
                 break
     first, second = images
@@ -139,7 +148,7 @@ def match(
             )
         from featreg.scene.run import SceneOptions, match_scene
 
-        here, there = (open_source(i, mask=m, **reading) for i, m in zip(given, masks, strict=True))
+        here, there = (open_source(i, mask=m, band=b, **reading) for i, m, b in zip(given, masks, bands, strict=True))
         pipelines = assemble_all(method, blocks=True, **parts)
         with dask_client(scheduler, executor) as runner:
             options = SceneOptions(size or BLOCK, runner, workers, dem, height, resume, progress, cancel)
@@ -177,18 +186,19 @@ def keypoints_of(
     mask: MaskLike | None = None,
     nodata: complex | None = None,
     scale: str | None = None,
+    band: BandLike = None,
     focus: Focus | None = None,
     **keywords: Any,
 ) -> FloatArray | None:
     """(N, 2) keypoints that a method looks at in an image, at most its budget; None where it has no detector.
 
-    `mask` is that of this image; the other keywords are those of `match` that build the pipeline.
+    `mask` and `band` are those of this image; the other keywords are those of `match` that build the pipeline.
     """
     pipelines = assemble_all(**keywords, blocks=None)
     matcher = pipelines[0].matcher
     if len(pipelines) > 1 or not isinstance(matcher, FeatureMatcher):
         return None
-    whole = as_image(image, mask=mask, nodata=nodata, scale=scale)
+    whole = as_image(image, mask=mask, nodata=nodata, scale=scale, band=band)
     if focus is not None and whole.is_complex:
         whole, _ = focused_input(whole, focus)
     seen = bridged(whole)
@@ -204,6 +214,8 @@ def check_keywords(keywords: Mapping[str, Any]) -> None:
     _check_running(**{name: known.get(name) for name in ("workers", "threads", "executor", "progress", "cancel")})
     if isinstance(known.get("focus"), str):
         check_method(known["focus"])
+    for band in bands_of(known):
+        check_band(band)
     _initial(known.get("initial"), known.get("search_radius"))
     assemble_all(**of_pipeline(keywords), blocks=None if size is None else bool(size))
 

@@ -113,16 +113,19 @@ def _size(file: str) -> int:
         return 0
 
 
-def image_to_draw(file: str, mask: str | None, nodata: complex | None, scale: str | None) -> tuple[Image, int]:
-    """An image for a picture, large ones reduced, and how many pixels of the file, along a side, are one of its."""
+def image_to_draw(file: str, **reading: Any) -> tuple[Image, int]:
+    """An image for a picture, large ones reduced, and how many pixels of the file, along a side, are one of its.
+
+    `reading` are keywords of `featreg.as_image`.
+    """
     from featreg.io.images import small_image
     from featreg.io.raster_source import open_source
     from featreg.matching import MOST_PIXELS
 
-    image = small_image(file, MOST_PIXELS, mask=mask, nodata=nodata, scale=scale)
+    image = small_image(file, MOST_PIXELS, **reading)
     if image is not None:
         return image, 1
-    source = open_source(file, mask=mask, nodata=nodata, scale=scale)
+    source = open_source(file, **reading)
     factor = max(1, min(max(source.shape) // DRAWN, min(source.shape)))
     return source.overview(factor), factor
 

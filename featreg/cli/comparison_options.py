@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +20,8 @@ from featreg.cli.options import (
     number,
     whole_number,
 )
-from featreg.errors import InputError, ParameterError
+from featreg.errors import FeatregError, InputError, ParameterError
+from featreg.pipeline.keywords import bands_of
 
 if TYPE_CHECKING:
     from featreg.study.experiment import Experiment
@@ -31,6 +33,8 @@ FORMATS = ("md", "csv", "latex", "json")
 LAYOUTS = ("table2", "table3")
 OUTPUTS = {".md": "to_markdown", ".csv": "to_csv", ".tex": "to_latex", ".json": "to_json", ".parquet": "to_parquet"}
 EXPERIMENTS = (".yaml", ".yml", ".toml")
+
+logger = logging.getLogger(__name__)
 
 
 def seconds(text: Any) -> float:
@@ -171,13 +175,29 @@ def pairs_of(images: Sequence[str], truth: Sequence[str]) -> list[dict[str, Any]
 
 
 def check_images(experiment: Experiment) -> None:
-    """Open every image once, so that a wrong name or scale shows before anything is matched."""
+    """Open every image once, so that a wrong name or scale shows before anything is matched.
+
+    Raises
+    ------
+    InputError
+        No pair can be read; where only some cannot, their rows say why.
+    """
     from featreg.io.raster_source import open_source
 
     protocol = experiment.protocol
-    paths = [image for pair in experiment.resolved() for image in (pair.reference, pair.secondary)]
-    for path in dict.fromkeys(paths):
-        open_source(path, nodata=protocol.nodata, scale=protocol.scale)
+    bands = bands_of(protocol.keywords())
+    pairs = experiment.resolved()
+    errors: list[FeatregError] = []
+    for pair in pairs:
+        try:
+            for image, band in zip((pair.reference, pair.secondary), bands, strict=True):
+                open_source(image, nodata=protocol.nodata, scale=protocol.scale, band=band)
+        except InputError as error:
+            errors.append(error)
+    if len(errors) == len(pairs):
+        raise errors[0]
+    for text in map(str, errors):
+        logger.warning("%s", text)
 
 
 @dataclass(frozen=True)

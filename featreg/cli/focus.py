@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from featreg.cli.options import check_name, check_output, counter, number, progress, whole_number
+from featreg.cli.options import BandOption, check_name, check_output, counter, number, progress, whole_number
 from featreg.errors import InputError, ParameterError
 from featreg.runtime.threads import limited_threads
 
@@ -28,7 +28,7 @@ LARGE, BLOCK = 1 << 26, 1 << 25
 def focus(
     image: Annotated[
         str,
-        typer.Argument(metavar="IN", help="Complex image: GeoTIFF, NPY or file.mat:variable.", show_default=False),
+        typer.Argument(metavar="IN", help="Complex image, see docs/formats.md.", show_default=False),
     ],
     output: Annotated[
         str,
@@ -55,6 +55,7 @@ def focus(
             show_default="as the method has it",
         ),
     ] = None,
+    band: BandOption = None,
     normalize: Annotated[
         bool, typer.Option("--normalize/--no-normalize", help="Weight range cells alike, whatever their energy.")
     ] = True,
@@ -115,7 +116,7 @@ def focus(
 
         check_name(method, METHODS, "autofocus method")
         progress(f"reading '{image}'")
-        before = as_image(image)
+        before = as_image(image, band=band)
         if not before.is_complex:
             raise InputError(f"{image}: holds real samples, whose phase is lost; focus needs a complex image")
         samples = before.pixels.size

@@ -26,6 +26,14 @@ def mark(
     port: Annotated[
         int, typer.Option("--port", metavar="N", parser=whole_number(0), help="Port to listen on; 0 takes a free one.")
     ] = 0,
+    reference_band: Annotated[
+        str | None,
+        typer.Option("--reference-band", metavar="BAND", help="Which band of REF.", show_default="the only one"),
+    ] = None,
+    secondary_band: Annotated[
+        str | None,
+        typer.Option("--secondary-band", metavar="BAND", help="Which band of SEC.", show_default="the only one"),
+    ] = None,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")] = True,
 ) -> None:
     """Mark homologous points of two images in a local web page.
@@ -49,7 +57,7 @@ def mark(
         if isinstance(found, FailedFit):
             raise InputError(f"--initial '{initial}' holds no model: {found.reason}")
         model = found
-    scenes = TiledScene(reference), TiledScene(secondary)
+    scenes = TiledScene(reference, reference_band), TiledScene(secondary, secondary_band)
     points = MarkedPoints(output, (reference, secondary), (scenes[0].shape, scenes[1].shape), model)
 
     def started(address: str) -> None:

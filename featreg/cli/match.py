@@ -20,7 +20,7 @@ from featreg.cli.options import (
     whole_number,
 )
 from featreg.errors import InputError, ParameterError
-from featreg.pipeline.keywords import KEYWORDS
+from featreg.pipeline.keywords import KEYWORDS, bands_of
 from featreg.runtime.threads import limited_threads
 
 if TYPE_CHECKING:
@@ -97,7 +97,8 @@ def match(
 
     Finds tie points, fits a geometric model and judges whether it can be trusted.
 
-    Images are GeoTIFF, TIFF, PNG, JPEG, BMP, NPY or file.mat:variable. Exit code 3 means that the result, which is
+    Images are files, product folders, archives or datasets (file.h5:/name) of some twenty formats, see docs/formats.md.
+    Exit code 3 means that the result, which is
     still written, cannot be trusted. Large images are worked on in blocks, which can be spread over processes or a
     cluster and kept in a folder, so that a run that was stopped goes on where it was.
     """
@@ -145,8 +146,10 @@ def match(
         if plot is not None:
             from featreg.pictures.drawing import draw_registration
 
-            here, factor = image_to_draw(reference, mask_reference, common.nodata, common.scale)
-            there, far_factor = image_to_draw(secondary, mask_secondary, common.nodata, common.scale)
+            reading: Any = {"nodata": common.nodata, "scale": common.scale}
+            bands = bands_of(common.keywords())
+            here, factor = image_to_draw(reference, mask=mask_reference, band=bands[0], **reading)
+            there, far_factor = image_to_draw(secondary, mask=mask_secondary, band=bands[1], **reading)
             draw_registration(here, there, result, plot, factors=(factor, far_factor))
             written.append(plot)
     # What goes to standard output itself may be read by a machine.

@@ -64,6 +64,17 @@ NodataOption: TypeAlias = Annotated[
 ]
 
 
+BandOption: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        "--band",
+        metavar="BAND",
+        help="Which band of a file of several: its name (VV), its number, iq for complex samples of two, rgb.",
+        show_default="the only one",
+    ),
+]
+
+
 @dataclass(frozen=True)
 class MethodOptions:
     """What `match`, `compare` and `sweep` all say of a method and of how images are read."""
@@ -122,10 +133,20 @@ class MethodOptions:
         ),
     ] = None
     nodata: NodataOption = None
+    band: BandOption = None
+    reference_band: Annotated[
+        str | None,
+        typer.Option("--reference-band", metavar="BAND", help="That of the reference.", show_default="--band"),
+    ] = None
+    secondary_band: Annotated[
+        str | None,
+        typer.Option("--secondary-band", metavar="BAND", help="That of the secondary.", show_default="--band"),
+    ] = None
 
     def keywords(self) -> dict[str, Any]:
         """Those that are keywords of `featreg.match` and of a protocol alike."""
-        return {name: getattr(self, name) for name in ("model", "n_features", "refine", "scale", "nodata")}
+        names = ("model", "n_features", "refine", "scale", "nodata", "band", "reference_band", "secondary_band")
+        return {name: getattr(self, name) for name in names}
 
 
 def parse_settings(given: Sequence[str] | None, offered: Iterable[str]) -> dict[str, Any]:

@@ -53,8 +53,8 @@ def warp(
         str, typer.Option("--resampling", metavar="KIND", help="nearest, bilinear, cubic or lanczos.")
     ] = "lanczos",
     band: Annotated[
-        int | None,
-        typer.Option("--band", parser=whole_number(1), metavar="N", help="Only this band.", show_default="all"),
+        str | None,
+        typer.Option("--band", metavar="BAND", help="Only this band: its name, number, iq or rgb.", show_default="all"),
     ] = None,
     secondary_scale: Annotated[
         Any,

@@ -106,13 +106,14 @@ def rows_of(registration: Registration, stage: str) -> BoolArray:
 
 
 def _info(registration: Registration, role: str, given: str | Path | None) -> ImageInfo:
-    from featreg.io.raster_source import RasterSource
+    from featreg.io.raster_files import is_there
+    from featreg.io.raster_source import located_source
 
     known = registration.reference if role == "reference" else registration.secondary
     path = str(given) if given is not None else role if known is None else known.path
     size = (0, 0) if known is None else known.shape
     place = None if known is None else known.geolocation
-    if given is None and not Path(path).is_file():
+    if given is None and not is_there(path):
         if place is None and path not in (role, "array", "tie points"):
             logger.warning(
                 "the %s '%s' is not there, and the result does not say where it lies: give its file (--%s) for map "
@@ -120,7 +121,7 @@ def _info(registration: Registration, role: str, given: str | Path | None) -> Im
             )  # fmt: skip
         return ImageInfo(path, size, place)
     try:
-        source = RasterSource(path, band=1)
+        source = located_source(path, None if known is None else known.band)
         shape, now = source.shape, source.geolocation
     except InputError:
         if given is not None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from featreg.errors import InputError
 from featreg.exports.content import Content, ground_of
-from featreg.io.readers import quiet
+from featreg.io.gdal_errors import quiet
 from featreg.types import FloatArray
 
 PIXEL_OFFSET = 0.5

@@ -73,9 +73,9 @@ def _side(at: FloatArray, names: str, role: str, image: str | Path | None, crs: 
         if (pixels < -1).any():
             raise InputError(f"{names} are no pixels (some lie left of or above the image); give the {role} image")
         return pixels
-    from featreg.io.raster_source import RasterSource
+    from featreg.io.raster_source import located_source
 
-    source = RasterSource(str(image), band=1)
+    source = located_source(image)
     place = source.geolocation
     if place is None or place.transform is None:
         if on_map:

@@ -229,7 +229,7 @@ class DemHeights(Heights):
     def _open(self, read: Any) -> Any:
         import rasterio
 
-        from featreg.io.readers import quiet, reason
+        from featreg.io.gdal_errors import quiet, reason
 
         if not Path(self.path).exists():
             raise InputError(f"{self.path}: no such elevation model; give the path of an existing raster file")

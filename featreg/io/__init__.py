@@ -1,7 +1,9 @@
 """Files and arrays in, files out: images, windows of whole scenes, GeoTIFF.
 
 images          a path or an array to an `Image`
-readers, sicd   image files as they are
+opening         whatever a name stands for (source_names) to a `reader`, by content; which of its bands: bands
+gdal_drivers    the formats left to GDAL (gdal_reader, vrt, gdal_errors); others: array_files, hdf5 (gridded), sicd
+product_folders products that are folders or archives
 masks, scales   which samples are data, and what amplitude they stand for
 raster_source   scenes by `window`, from raster_files
 writers         files that appear whole or not at all

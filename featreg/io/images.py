@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 
 from featreg.errors import InputError, ParameterError, suggest
 from featreg.io.arrays import count_of, is_array, plain_array
+from featreg.io.bands import BandLike, check_band
 from featreg.io.masks import MaskLike, as_mask, holds_nodata
-from featreg.io.readers import Raster, read_raster, read_small_raster
+from featreg.io.opening import read_raster, read_small_raster
+from featreg.io.reader import Raster, physical
 from featreg.io.scales import SCALES, NoContentError, check_content, complex_pixels, real_pixels
 from featreg.types import BoolArray, Image, read_only
 
@@ -26,19 +28,26 @@ ImageLike = str | Path | NDArray[Any] | Image
 
 
 def as_image(
-    source: ImageLike, *, mask: MaskLike | None = None, nodata: complex | None = None, scale: str | None = None
+    source: ImageLike,
+    *,
+    mask: MaskLike | None = None,
+    nodata: complex | None = None,
+    scale: str | None = None,
+    band: BandLike = None,
 ) -> Image:
     """Return `source` as an `Image` of linear amplitude or complex samples.
 
     Parameters
     ----------
-    source : path of a GeoTIFF, PNG, JPEG, BMP or NPY file, ``file.mat:variable`` (the variable may be left out where
-        the file holds one 2-D numeric array), a 2-D numeric array, or an `Image`, which is returned as it is when
-        nothing else is given
+    source : path of an image file, a product's folder or an archive with one image, the name of a dataset inside a file
+        (``file.h5:/group/name``, ``file.mat:variable``, or as GDAL has it), a 2-D numeric array, or an `Image`, which
+        is returned as it is when nothing else is given; docs/formats.md lists what is read
     mask : pixels that are data: (H, W) array, mask file or polygons; see `featreg.io.masks.as_mask`
     nodata : value of the samples that are not data, before any conversion; it overrides the nodata value of a file (not
         its mask band). Compared with linear amplitude where `source` is an `Image`. Without it, 0 is data in an array.
     scale : what real samples are: "amplitude", "intensity" (square root is taken) or "db" (10 ** (v / 20))
+    band : of a file: its name ("VV"), its number from 1, "iq" for complex samples of an I and a Q band, "rgb"; None
+        takes the only one, and of a colour image the Rec. 601 luminance
 
     Returns
     -------
@@ -49,8 +58,8 @@ def as_image(
     Raises
     ------
     InputError
-        The file cannot be read, the array is not 2-D and numeric, the scale cannot be told, the image is smaller than
-        16 x 16, holds no valid pixel, or the same value everywhere.
+        The file cannot be read, has no such band, or several and none was named; the array is not 2-D and numeric, the
+        scale cannot be told, the image is smaller than 16 x 16, holds no valid pixel, or the same value everywhere.
     ParameterError
         An unknown scale, or a nodata that is no number.
 
@@ -63,13 +72,18 @@ def as_image(
     """
     if scale is not None and scale not in SCALES:
         raise ParameterError(f"unknown scale '{scale}', {suggest(scale, SCALES)}")
+    check_band(band)
     if isinstance(source, Image):
+        if band not in (None, source.band):
+            raise InputError(f"{source.name}: is an Image already, band '{band}' is for files")
         return _restricted(source, mask, nodata, scale)
     if isinstance(source, str | Path):
-        return _image(read_raster(source), str(source), mask, nodata, scale, owned=True)
+        return _image(read_raster(source, band), str(source), mask, nodata, scale, owned=True)
     if not is_array(source):
         given = type(source).__name__
         raise InputError(f"cannot make an image from {given}; give a path, a 2-D array or a featreg Image")
+    if band is not None:
+        raise InputError(f"band '{band}' is for files; of an array give the band itself, e.g. a[..., 0]")
     array, shown = plain_array(source)
     raster = Raster(array, array.dtype.name, shown)
     return _image(raster, "array", mask, nodata, scale, owned=False)
@@ -82,20 +96,27 @@ def small_image(
     mask: MaskLike | None = None,
     nodata: complex | None = None,
     scale: str | None = None,
+    band: BandLike = None,
 ) -> Image | None:
     """As `as_image`, of at most `most` pixels; None where there are more, and a file was opened but not read."""
     if isinstance(source, str | Path) and scale in (None, *SCALES):
-        raster = read_small_raster(source, most)
+        check_band(band)
+        raster = read_small_raster(source, most, band)
         return None if raster is None else _image(raster, str(source), mask, nodata, scale, owned=True)
     pixels = source.mask.size if isinstance(source, Image) else count_of(source) if is_array(source) else 0
-    return None if pixels > most else as_image(source, mask=mask, nodata=nodata, scale=scale)
+    return None if pixels > most else as_image(source, mask=mask, nodata=nodata, scale=scale, band=band)
 
 
 def read_image(
-    path: str | Path, *, mask: MaskLike | None = None, nodata: complex | None = None, scale: str | None = None
+    path: str | Path,
+    *,
+    mask: MaskLike | None = None,
+    nodata: complex | None = None,
+    scale: str | None = None,
+    band: BandLike = None,
 ) -> Image:
     """Read an image file; the same as `as_image` with a path."""
-    return as_image(Path(path), mask=mask, nodata=nodata, scale=scale)
+    return as_image(str(path), mask=mask, nodata=nodata, scale=scale, band=band)
 
 
 def image_or_none(array: NDArray[Any], mask: NDArray[Any] | None = None) -> Image | None:
@@ -143,8 +164,7 @@ def _image(
     _check_form(samples, name)
     hole = holds_nodata(samples, raster.nodata if nodata is None else nodata)
     valid = _combine(raster.mask, mask, hole, (samples.shape[0], samples.shape[1]), name)
-    if (raster.gain, raster.offset) != (1.0, 0.0):
-        samples = samples * raster.gain + raster.offset
+    samples = physical(raster)
     pixels: NDArray[Any]
     if samples.dtype.kind == "c":
         if scale in ("intensity", "db"):
@@ -158,7 +178,7 @@ def _image(
         valid = np.ones(pixels.shape, np.bool_)
     else:
         pixels[~valid] = 0
-    return Image(read_only(pixels), read_only(valid), raster.geolocation, name, raster.dtype, scale)
+    return Image(read_only(pixels), read_only(valid), raster.geolocation, name, raster.dtype, scale, band=raster.band)
 
 
 def _check_form(samples: NDArray[Any], name: str) -> None:

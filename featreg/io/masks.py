@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from featreg.errors import InputError, ParameterError
 from featreg.io.arrays import is_array, plain_array
-from featreg.io.readers import read_raster
+from featreg.io.opening import read_raster
 from featreg.types import BoolArray, FloatArray
 
 MaskLike = str | Path | NDArray[Any] | Sequence[ArrayLike]

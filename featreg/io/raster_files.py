@@ -1,7 +1,7 @@
 """The files behind scenes: what they say of themselves, and windows of their samples.
 
-One-band rasters of GDAL are read by windows, NPY files through a memory map. Files that must be looked at as a whole
-(palettes, three equal bands, MATLAB) are read once in each process, and windows are cut from them.
+Files stay open, a few for each thread and process. Those that are decoded from their beginning (JPEG, MATLAB) are read
+once in each process, and windows are cut from them.
 """
 
 from __future__ import annotations
@@ -16,189 +16,182 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-from featreg.errors import InputError
+from featreg.io.bands import BandLike, Choice, choose, name_of, read_choice
 from featreg.io.masks import holds_nodata
-from featreg.io.readers import Raster, gdal_dataset, geolocation_of, quiet, read_raster, reason, shown, stated_scale
+from featreg.io.opening import band_asked, check_plausible, open_reader
+from featreg.io.product_folders import MANIFEST
+from featreg.io.reader import Band, Raster, Reader, physical
 from featreg.io.scales import real_pixels
+from featreg.io.source_names import parse_source
 from featreg.io.window import Window
-from featreg.runtime.numpy_files import load_array
 from featreg.types import BoolArray, Geolocation
 
-#: Bytes that GDAL may keep of the tiles it has decoded, in each process; two rows of tiles of a wide scene.
-CACHE_BYTES = 64 << 20
 #: Open files a thread keeps.
 OPEN_FILES = 4
 #: Side of a square of as many pixels as are read to tell the scale of real samples.
 SAMPLE = 1024
 
-#: Names one version of a file: path, size, time of its last change.
+#: Names one version of a file: what it is called, size, time of its last change.
 Stamp: TypeAlias = tuple[str, int, int]
 
 
 @dataclass(frozen=True, eq=False)
 class Head:
-    """What a file says of itself, the samples aside."""
+    """What a file says of itself and of the band that is asked for, the samples aside.
 
+    Parameters
+    ----------
+    driver : what opened it
+    bands : of the file
+    choice : what is read
+    shape, dtype : of that; complex samples of I and Q as complex64
+    geolocation : where it lies
+    band : how the band is asked for again, None where there is one only
+    files : on disk, that hold the samples
+    whole : whether it is kept whole, and windows cut from it
+    """
+
+    driver: str
+    bands: tuple[Band, ...]
+    choice: Choice
     shape: tuple[int, int]
     dtype: str
     geolocation: Geolocation | None
-    way: str  # "windows", "map" or "whole"
+    band: str | None
+    files: tuple[str, ...]
+    whole: bool
+
+    @property
+    def first(self) -> Band:
+        """The band that is read, the first of several."""
+        return self.bands[self.choice.bands[0]]
 
 
-def physical(raster: Raster) -> NDArray[Any]:
-    """The samples with the file's own gain and offset applied; untouched where it has none."""
-    if (raster.gain, raster.offset) == (1.0, 0.0):
-        return raster.samples
-    return np.asarray(raster.samples * raster.gain + raster.offset)
-
-
-def stamp_of(path: str) -> Stamp:
-    """Names one version of a file; a missing file is left to the reader, whose message says so."""
+def stamp_of(source: str) -> Stamp:
+    """Names one version of a file; what is missing is left to the opener, whose message says so."""
+    path = parse_source(source).path
     try:
-        known = os.stat(path)
+        known = os.stat(path) if path is not None else None
+        if path is not None and path.is_dir() and (path / MANIFEST).is_file():
+            known = os.stat(path / MANIFEST)
     except (OSError, ValueError):
-        return path, -1, -1
-    return path, known.st_size, known.st_mtime_ns
+        known = None
+    return (source, -1, -1) if known is None else (source, known.st_size, known.st_mtime_ns)
 
 
 @lru_cache(maxsize=64)
-def read_head(stamp: Stamp, band: int) -> Head:
-    path = stamp[0]
-    if Path(path).suffix.lower() == ".npy":
-        array = _mapped(stamp)
-        return Head((array.shape[0], array.shape[1]), array.dtype.name, None, "map")
-    with gdal_dataset(path) as dataset:
-        if dataset is not None and _by_windows(dataset, band):
-            shape = dataset.height, dataset.width
-            kind = _dtype_name(dataset.dtypes[max(band, 1) - 1])
-            return Head(shape, kind, geolocation_of(dataset), "windows")
-        if dataset is not None and band > dataset.count:
-            raise InputError(f"{path}: has {dataset.count} bands, band {band} was asked for")
-    raster = _whole(stamp)
-    return Head((raster.samples.shape[0], raster.samples.shape[1]), raster.dtype, raster.geolocation, "whole")
+def read_head(stamp: Stamp, band: BandLike) -> Head:
+    """What a file says of itself; errors as `featreg.io.opening.open_reader` and `featreg.io.bands.choose`."""
+    source = stamp[0]
+    reader = _opened(stamp)
+    name = parse_source(source)
+    choice = choose(reader.bands, band_asked(name, band), source)
+    first = reader.bands[choice.bands[0]]
+    dtype = "complex64" if choice.how == "iq" else first.dtype
+    if reader.driver == "MATLAB":
+        # It tells with the samples only whether they are complex.
+        dtype = read_choice(reader, choice).dtype
+    called = name_of(reader.bands, choice) if name.dataset is None or reader.driver == "ZIP" else None
+    return Head(
+        reader.driver,
+        tuple(reader.bands),
+        choice,
+        first.shape,
+        dtype,
+        reader.geolocation(choice.bands[0]),
+        called,
+        tuple(reader.files),
+        reader.whole,
+    )
 
 
-def _by_windows(dataset: Any, band: int) -> bool:
-    from rasterio.enums import ColorInterp
-
-    if not 0 <= band <= dataset.count or len(dataset.subdatasets) > 1:
-        return False
-    data = [i + 1 for i, colour in enumerate(dataset.colorinterp) if colour != ColorInterp.alpha]
-    chosen = data == [1] if band == 0 else band in data
-    return chosen and dataset.colorinterp[max(band, 1) - 1] != ColorInterp.palette and dataset.driver != "JPEG"
-
-
-def _dtype_name(name: str) -> str:
-    return "complex64" if name == "complex_int16" else name
-
-
-def read_samples(path: str, band: int, window: Window) -> Raster:
+def read_samples(source: str, band: BandLike, window: Window) -> Raster:
     """The samples of the part of a window inside the scene; (0, 0) of them where it lies outside."""
-    stamp = stamp_of(path)
+    stamp = stamp_of(source)
     head = read_head(stamp, band)
     part = window.within(head.shape)
     if part is None:
-        return Raster(np.zeros((0, 0), np.dtype(head.dtype)), head.dtype)
+        return Raster(np.zeros((0, 0), "complex64" if head.dtype.startswith("complex") else head.dtype), head.dtype)
+    if not head.whole:
+        return read_choice(_opened(stamp), head.choice, part)
+    raster = _whole(stamp, band)
     rows, cols = slice(part.y, part.y + part.height), slice(part.x, part.x + part.width)
-    if head.way == "map":
-        array = _mapped(stamp)
-        return Raster(np.array(array[rows, cols]), array.dtype.name)
-    if head.way == "whole":
-        raster = _whole(stamp)
-        mask = None if raster.mask is None else raster.mask[rows, cols]
-        return replace(raster, samples=raster.samples[rows, cols].copy(), mask=mask)
-    return _gdal_samples(path, stamp, max(band, 1), part)
-
-
-def _gdal_samples(path: str, stamp: Stamp, band: int, part: Window) -> Raster:
-    import rasterio
-    from rasterio.windows import Window as RasterioWindow
-
-    box = RasterioWindow(part.x, part.y, part.width, part.height)
-    with quiet(), rasterio.Env(GDAL_CACHEMAX=CACHE_BYTES):
-        try:
-            dataset = _opened(path, stamp)
-            samples = dataset.read(band, window=box)
-            mask = shown(dataset, band, box)
-        except rasterio.errors.RasterioError as error:
-            message = f"{path}: the file is broken or cut short ({reason(error)}); a complete file is needed"
-            raise InputError(message) from error
-        return Raster(
-            samples,
-            _dtype_name(dataset.dtypes[band - 1]),
-            mask,
-            dataset.nodatavals[band - 1],
-            dataset.scales[band - 1],
-            dataset.offsets[band - 1],
-            said=stated_scale(dataset, band),
-        )
+    mask = None if raster.mask is None else raster.mask[rows, cols]
+    return replace(raster, samples=raster.samples[rows, cols].copy(), mask=mask)
 
 
 _local = threading.local()
 
 
-def _opened(path: str, stamp: Stamp) -> Any:
-    """An open dataset of this thread and process: GDAL's handles may be shared by neither."""
+def _opened(stamp: Stamp) -> Reader:
+    """An open file of this thread and process: GDAL's handles may be shared by neither."""
     if getattr(_local, "process", None) != os.getpid():
         # A handle that came through a fork is dropped without being closed: its descriptor is the parent's too.
         _local.inherited, _local.process, _local.files = getattr(_local, "files", None), os.getpid(), OrderedDict()
-    files: OrderedDict[Any, Any] = _local.files
+    files: OrderedDict[Any, Reader] = _local.files
     if stamp not in files:
         while len(files) >= OPEN_FILES:
-            files.popitem(last=False)[1][0].close()
-        holder = gdal_dataset(path)
-        files[stamp] = (_Kept(holder), holder.__enter__())
+            files.popitem(last=False)[1].close()
+        files[stamp] = open_reader(stamp[0])
     files.move_to_end(stamp)
-    return files[stamp][1]
-
-
-class _Kept:
-    """A context that was entered, to be left later."""
-
-    def __init__(self, context: Any) -> None:
-        self._context = context
-
-    def close(self) -> None:
-        self._context.__exit__(None, None, None)
-
-
-@lru_cache(maxsize=4)
-def _mapped(stamp: Stamp) -> NDArray[Any]:
-    path = stamp[0]
-    try:
-        array = load_array(path, "r")
-    except (OSError, ValueError):
-        array = read_raster(path).samples  # says what is wrong with it
-    if array.ndim != 2 or array.dtype.kind not in "uifc":
-        raise InputError(f"{path}: holds {array.dtype} of shape {array.shape}, one band of numbers (H, W) is needed")
-    return np.asarray(array) if not isinstance(array, np.memmap) else array
+    return files[stamp]
 
 
 @lru_cache(maxsize=2)
-def _whole(stamp: Stamp) -> Raster:
-    return read_raster(stamp[0])
+def _whole(stamp: Stamp, band: BandLike) -> Raster:
+    head, reader = read_head(stamp, band), _opened(stamp)
+    check_plausible(stamp[0], reader, head.choice)
+    return read_choice(reader, head.choice)
+
+
+def absolute_name(source: str) -> str:
+    """The same source from any folder."""
+    return parse_source(source).absolute()
+
+
+def files_of(source: str) -> tuple[str, ...]:
+    """Paths of the files on disk that hold the samples of a source."""
+    return tuple(_opened(stamp_of(source)).files)
+
+
+def is_there(source: str | Path) -> bool:
+    """Whether what a source names is on this disk, so that it can be read again."""
+    path = parse_source(source).path
+    try:
+        return path is not None and path.exists()
+    except (OSError, ValueError):
+        return False
+
+
+def is_same(one: str | Path, other: str | Path) -> bool:
+    """Whether two names stand for the same file, folder or dataset."""
+    if str(one) == str(other):
+        return True
+    first, second = parse_source(one), parse_source(other)
+    if first.path is None or second.path is None or not (is_there(one) and is_there(other)):
+        return False
+    same = (first.dataset or "").strip("/") == (second.dataset or "").strip("/")
+    return same and first.path.samefile(second.path)
 
 
 @lru_cache(maxsize=64)
 def inferred_scale(
-    stamp: Stamp, nodata: complex | None, band: int, masked: Callable[[Window], BoolArray | None]
+    stamp: Stamp, nodata: complex | None, band: BandLike, masked: Callable[[Window], BoolArray | None]
 ) -> str:
     """What real samples are, told from four strips over the scene as `featreg.io.as_image` does from all of them.
 
     A scene of no more pixels than the strips hold is looked at as a whole. `masked` gives the user's mask of a window.
     """
-    path = stamp[0]
-    head = read_head(stamp, band)
-    height, width = head.shape
+    source = stamp[0]
+    height, width = read_head(stamp, band).shape
     rows = max(1, SAMPLE**2 // 4 // width)
     if height <= 4 * rows:
         rows = height
     parts = []
     for top in np.unique(np.linspace(0, max(0, height - rows), 4).astype(int)).tolist():
         window = Window(0, top, width, rows)
-        raster = read_samples(path, band, window)
+        raster = read_samples(source, band, window)
         if raster.samples.dtype.kind == "u" and raster.offset >= 0 and raster.gain >= 0:
             return "amplitude"
         hole = holds_nodata(raster.samples, raster.nodata if nodata is None else nodata)
@@ -211,4 +204,4 @@ def inferred_scale(
     values = np.concatenate(parts)
     if not len(values):
         return "amplitude"
-    return real_pixels(values[None], None, None, path, owned=False, content=False, said=raster.said)[2]
+    return real_pixels(values[None], None, None, source, owned=False, content=False, said=raster.said)[2]

@@ -1,24 +1,30 @@
 """Scenes read by windows: the pixels of a file as `Image` objects, never the whole scene in memory.
 
-The rules are those of `featreg.io.as_image`: linear amplitude or complex64, invalid pixels masked.
+The rules are those of `featreg.io.as_image`: linear amplitude or complex64, invalid pixels masked. What reads a scene
+asks for a `Source` and never for what is behind it.
 """
 
 from __future__ import annotations
 
 import os
+from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import InputError, ParameterError
 from featreg.io.arrays import is_array
+from featreg.io.bands import BandLike, check_band
+from featreg.io.gdal_reader import CACHE_BYTES
 from featreg.io.masks import MaskLike, holds_nodata, inside_polygons, polygons_of
-from featreg.io.raster_files import CACHE_BYTES, Head, inferred_scale, physical, read_head, read_samples, stamp_of
-from featreg.io.readers import Raster
+from featreg.io.raster_files import Head, absolute_name, files_of, inferred_scale, read_head, read_samples, stamp_of
+from featreg.io.reader import Raster, physical
 from featreg.io.scales import SCALES, complex_pixels, real_pixels
+from featreg.io.source_names import parse_source
 from featreg.io.window import Window
 from featreg.runtime.digests import digest_bytes
 from featreg.types import BoolArray, Geolocation, Image, read_only
@@ -27,9 +33,11 @@ __all__ = [
     "CACHE_BYTES",
     "ImageSource",
     "RasterSource",
+    "SampleSource",
     "Source",
     "Window",
     "fingerprint",
+    "located_source",
     "open_source",
 ]
 
@@ -37,17 +45,164 @@ __all__ = [
 FINGERPRINT = 1 << 16
 
 
+class Source(Protocol):
+    """A scene: of a file, an array or an image in memory."""
+
+    @property
+    def name(self) -> str:
+        """What it is called in messages and results."""
+
+    @property
+    def path(self) -> str:
+        """The name by which its file is found again; what it is called where there is none."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W)."""
+
+    @property
+    def dtype(self) -> str:
+        """Name of the dtype of the samples before any conversion."""
+
+    @property
+    def band(self) -> BandLike:
+        """What was asked for of a file of several bands."""
+
+    @property
+    def is_complex(self) -> bool:
+        """Whether its samples are complex."""
+
+    @property
+    def geolocation(self) -> Geolocation | None:
+        """Where it lies."""
+
+    @property
+    def known_scale(self) -> str:
+        """What the samples are: "amplitude", "intensity", "db" or "complex"."""
+
+    def read(self, window: Window) -> Image:
+        """Return the pixels of a window; those outside the scene are masked."""
+
+    def overview(self, factor: int) -> Image:
+        """Return every `factor` x `factor` pixels averaged to one; see `overview_of`."""
+
+    def identity(self) -> dict[str, Any]:
+        """What tells this scene from another, as JSON can hold it."""
+
+    def shareable(self, folder: Callable[[], Path], stem: str) -> Source:
+        """The scene as processes find it that share neither this memory nor this folder.
+
+        `folder` gives one for what must be written, under names that begin with `stem`.
+        """
+
+
+def overview_of(source: Source, factor: int) -> Image:
+    """Return every `factor` x `factor` pixels averaged to one (root mean square of the amplitude), by strips.
+
+    The pixel (0, 0) of the overview has its centre at ``(factor - 1) / 2``. What does not fill a pixel at the lower
+    and right border is left out. A pixel is valid where more than half of what it averages is.
+    """
+    if factor < 1:
+        raise ParameterError(f"an overview needs factor >= 1, got {factor}")
+    height, width = source.shape[0] // factor, source.shape[1] // factor
+    if height < 1 or width < 1:
+        raise ParameterError(f"{source.name}: an overview of 1 / {factor} of {source.shape} has no pixel")
+    pixels, mask = np.empty((height, width), np.float32), np.empty((height, width), np.bool_)
+    step = max(1, 512 // factor)
+    for top in range(0, height, step):
+        rows = min(step, height - top)
+        strip = source.read(Window(0, top * factor, width * factor, rows * factor))
+        cells = (strip.amplitude**2).reshape(rows, factor, width, factor).mean(axis=(1, 3))
+        share = strip.mask.reshape(rows, factor, width, factor).mean(axis=(1, 3))
+        good = share > 0.5
+        pixels[top : top + rows] = np.sqrt(np.divide(cells, share, out=np.zeros_like(cells), where=good))
+        mask[top : top + rows] = good
+    return Image(read_only(pixels), read_only(mask), None, source.name, source.dtype, source.known_scale)
+
+
+class SampleSource(ABC):
+    """What sources share whose samples are read by windows and turned into amplitude here.
+
+    A kind of source says what `name`, `shape`, `dtype` and `known_scale` are, and reads `samples`; `nodata` overrides
+    what these say of themselves.
+    """
+
+    nodata: complex | None
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """What it is called in messages and results."""
+
+    @property
+    @abstractmethod
+    def shape(self) -> tuple[int, int]:
+        """(H, W)."""
+
+    @property
+    @abstractmethod
+    def dtype(self) -> str:
+        """Name of the dtype of the samples before any conversion."""
+
+    @property
+    @abstractmethod
+    def known_scale(self) -> str:
+        """What the samples are: "amplitude", "intensity", "db" or "complex"."""
+
+    @abstractmethod
+    def samples(self, window: Window) -> Raster:
+        """The samples of the part of a window inside the scene, as they are; (0, 0) of them where it lies outside."""
+
+    @property
+    def is_complex(self) -> bool:
+        return self.dtype.startswith("complex")
+
+    def masked(self, window: Window) -> BoolArray | None:
+        """The user's mask of the part of a window that lies in the scene, None = all valid."""
+        return None
+
+    def read(self, window: Window) -> Image:
+        """Return the pixels of a window; those outside the scene are masked.
+
+        Raises
+        ------
+        InputError
+            The samples cannot be read. A window without any valid pixel, or of one value, is no error.
+        """
+        raster = self.samples(window)
+        samples, valid = raster.samples, raster.mask
+        hole = holds_nodata(samples, raster.nodata if self.nodata is None else self.nodata)
+        for more in (None if hole is None else ~hole, self.masked(window)):
+            if more is not None:
+                valid = more if valid is None else valid & more
+        samples = physical(raster)
+        pixels: NDArray[Any]
+        if samples.dtype.kind == "c":
+            pixels, valid = complex_pixels(samples, valid, self.name, owned=True, content=False)
+        else:
+            pixels, valid, _ = real_pixels(samples, valid, self.known_scale, self.name, owned=True, content=False)
+        if valid is None:
+            valid = np.ones(pixels.shape, np.bool_)
+        else:
+            pixels[~valid] = 0
+        return Image(*_padded(pixels, valid, window, self.shape), None, self.name, raster.dtype, self.known_scale)
+
+    def overview(self, factor: int) -> Image:
+        """As `overview_of`."""
+        return overview_of(cast(Source, self), factor)
+
+
 @dataclass(frozen=True)
-class RasterSource:
+class RasterSource(SampleSource):
     """A scene in a file, read by windows; picklable, and holds no open file itself.
 
     Parameters
     ----------
-    path : of the file
+    path : of the file, folder or archive, or the name of a dataset inside; see `featreg.io.source_names.parse_source`
     scale : "amplitude", "intensity" or "db", what real samples are; None tells it from a sample of the scene, as
         `featreg.io.as_image` does from the whole
     nodata : value of samples that are not data; None takes the file's own
-    band : counted from 1; 0 is the only one, and a file of several bands is then an error
+    band : name, number from 1, "iq" or "rgb"; None is the only one, and a file of several bands is then an error
     mask : pixels that are data: path of an image of the same size, or polygons as nested tuples of (x, y)
 
     Notes
@@ -58,7 +213,7 @@ class RasterSource:
     path: str
     scale: str | None = None
     nodata: complex | None = None
-    band: int = 0
+    band: BandLike = None
     mask: Any = field(default=None, repr=False)
 
     @property
@@ -66,67 +221,34 @@ class RasterSource:
         return self.path
 
     @property
-    def _head(self) -> Head:
+    def head(self) -> Head:
+        """What the file says of itself."""
         return read_head(stamp_of(self.path), self.band)
 
     @property
     def shape(self) -> tuple[int, int]:
         """(H, W)."""
-        return self._head.shape
+        return self.head.shape
 
     @property
     def dtype(self) -> str:
         """Name of the dtype of the samples in the file."""
-        return self._head.dtype
-
-    @property
-    def is_complex(self) -> bool:
-        return self.dtype.startswith("complex")
+        return self.head.dtype
 
     @property
     def geolocation(self) -> Geolocation | None:
         """Where the scene lies, as its file says it."""
-        return self._head.geolocation
+        return self.head.geolocation
 
     @property
     def known_scale(self) -> str:
         """What the samples are, told where it was not stated: "amplitude", "intensity", "db" or "complex"."""
         if self.is_complex:
             return "complex"
-        return self.scale or inferred_scale(stamp_of(self.path), self.nodata, self.band, self._masked)
+        return self.scale or inferred_scale(stamp_of(self.path), self.nodata, self.band, self.masked)
 
-    def read(self, window: Window) -> Image:
-        """Return the pixels of a window; those outside the scene are masked.
-
-        Raises
-        ------
-        InputError
-            The file cannot be read. A window without any valid pixel, or of one value, is no error.
-        """
-        return self._image(window, read_samples(self.path, self.band, window))
-
-    def overview(self, factor: int) -> Image:
-        """Return every `factor` x `factor` pixels averaged to one (root mean square of the amplitude), by strips.
-
-        The pixel (0, 0) of the overview has its centre at ``(factor - 1) / 2``. What does not fill a pixel at the lower
-        and right border is left out. A pixel is valid where more than half of what it averages is.
-        """
-        if factor < 1:
-            raise ParameterError(f"an overview needs factor >= 1, got {factor}")
-        height, width = self.shape[0] // factor, self.shape[1] // factor
-        if height < 1 or width < 1:
-            raise ParameterError(f"{self.path}: an overview of 1 / {factor} of {self.shape} has no pixel")
-        pixels, mask = np.empty((height, width), np.float32), np.empty((height, width), np.bool_)
-        step = max(1, 512 // factor)
-        for top in range(0, height, step):
-            rows = min(step, height - top)
-            strip = self.read(Window(0, top * factor, width * factor, rows * factor))
-            cells = (strip.amplitude**2).reshape(rows, factor, width, factor).mean(axis=(1, 3))
-            share = strip.mask.reshape(rows, factor, width, factor).mean(axis=(1, 3))
-            good = share > 0.5
-            pixels[top : top + rows] = np.sqrt(np.divide(cells, share, out=np.zeros_like(cells), where=good))
-            mask[top : top + rows] = good
-        return Image(read_only(pixels), read_only(mask), None, self.path, self.dtype, self.known_scale)
+    def samples(self, window: Window) -> Raster:
+        return read_samples(self.path, self.band, window)
 
     def identity(self) -> dict[str, Any]:
         """What tells this source from another: size, time and both ends of its files, scale, nodata and band."""
@@ -136,7 +258,7 @@ class RasterSource:
             "shape": list(self.shape),
             "scale": self.known_scale,
             "nodata": None if self.nodata is None else str(self.nodata),
-            "band": self.band,
+            "band": list(self.head.choice.bands),
             "mask": mask,
         }
 
@@ -154,31 +276,16 @@ class RasterSource:
             raise InputError(f"{self.path}: holds complex samples, scale='{self.scale}' cannot be; leave scale out")
         return self if self.is_complex else replace(self, scale=self.known_scale)
 
-    def _image(self, window: Window, raster: Raster) -> Image:
-        samples, valid = raster.samples, raster.mask
-        hole = holds_nodata(samples, raster.nodata if self.nodata is None else self.nodata)
-        for more in (None if hole is None else ~hole, self._masked(window)):
-            if more is not None:
-                valid = more if valid is None else valid & more
-        samples = physical(raster)
-        pixels: NDArray[Any]
-        if samples.dtype.kind == "c":
-            pixels, valid = complex_pixels(samples, valid, self.path, owned=True, content=False)
-        else:
-            pixels, valid, _ = real_pixels(samples, valid, self.known_scale, self.path, owned=True, content=False)
-        if valid is None:
-            valid = np.ones(pixels.shape, np.bool_)
-        else:
-            pixels[~valid] = 0
-        return Image(*_padded(pixels, valid, window, self.shape), None, self.path, raster.dtype, self.known_scale)
+    def shareable(self, folder: Callable[[], Path], stem: str) -> RasterSource:
+        mask = absolute_name(self.mask) if isinstance(self.mask, str) else self.mask
+        return replace(self, path=absolute_name(self.path), mask=mask)
 
-    def _masked(self, window: Window) -> BoolArray | None:
-        """The mask of the part of a window that lies in the scene."""
+    def masked(self, window: Window) -> BoolArray | None:
         part = window.within(self.shape)
         if self.mask is None or part is None:
             return None
         if isinstance(self.mask, str):
-            raster = read_samples(self.mask, 0, part)
+            raster = read_samples(self.mask, None, part)
             good = raster.samples != 0
             good &= np.isfinite(raster.samples)
             hole = holds_nodata(raster.samples, raster.nodata)
@@ -234,8 +341,16 @@ class ImageSource:
         return Image(*_padded(pixels, mask, window, self.shape), None, self.name, self.dtype, self.known_scale)
 
     def overview(self, factor: int) -> Image:
-        """As `RasterSource.overview`."""
-        return RasterSource.overview(self, factor)  # type: ignore[arg-type]  # it needs shape, read and names only
+        """As `overview_of`."""
+        return overview_of(self, factor)
+
+    @property
+    def band(self) -> BandLike:
+        """What was read of a file of several bands."""
+        return self.image.band
+
+    def shareable(self, folder: Callable[[], Path], stem: str) -> RasterSource:
+        return self.spooled(folder(), stem)
 
     def identity(self) -> dict[str, Any]:
         """A digest of the pixels and of the mask."""
@@ -258,17 +373,20 @@ class ImageSource:
         return RasterSource(str(path), scale=None if self.is_complex else "amplitude")
 
 
-Source = RasterSource | ImageSource
-
-
 def open_source(
-    source: Any, *, mask: MaskLike | None = None, nodata: complex | None = None, scale: str | None = None
+    source: Any,
+    *,
+    mask: MaskLike | None = None,
+    nodata: complex | None = None,
+    scale: str | None = None,
+    band: BandLike = None,
 ) -> Source:
     """Return the source of a path, an array or an `Image`, checked; parameters and errors as `featreg.io.as_image`."""
     from featreg.io.images import as_image
 
     if not isinstance(source, str | Path):
-        return ImageSource(as_image(source, mask=mask, nodata=nodata, scale=scale))
+        return ImageSource(as_image(source, mask=mask, nodata=nodata, scale=scale, band=band))
+    check_band(band)
     if scale is not None and scale not in SCALES:
         return ImageSource(as_image(source, scale=scale))  # raises, in the words of every other reader
     held: Any = None
@@ -276,14 +394,31 @@ def open_source(
         held = str(mask)
     elif is_array(mask) and len(shape := np.shape(cast(Any, mask))) == 2 and shape[1] != 2:
         # A mask in memory is as large as a scene in memory.
-        return ImageSource(as_image(source, mask=mask, nodata=nodata, scale=scale))
+        return ImageSource(as_image(source, mask=mask, nodata=nodata, scale=scale, band=band))
     elif mask is not None:
         held = tuple(tuple(map(tuple, polygon.tolist())) for polygon in polygons_of(mask, str(source)))
-    return RasterSource(str(source), scale, nodata, mask=held).checked()
+    return RasterSource(str(source), scale, nodata, band, held).checked()
 
 
-def fingerprint(path: str | Path) -> dict[str, Any]:
-    """Return size, modification time and a digest of both ends of a file."""
+def located_source(source: str | Path, band: BandLike = None) -> RasterSource:
+    """The source of a file of which size and place are wanted: any band will do, its first where none is named."""
+    named = parse_source(source)
+    inside = named.dataset is not None
+    return RasterSource(str(source), band=None if inside else 1 if band is None else band)
+
+
+def fingerprint(source: str | Path) -> dict[str, Any]:
+    """Return size, modification time and a digest of both ends of a file, of every file of a product or raster."""
+    path = parse_source(source).path
+    if path is None:
+        return {"name": str(source)}
+    if not path.is_dir():
+        return _fingerprint(path)
+    files = files_of(str(source))
+    return {"files": [_fingerprint(Path(file)) for file in files], "name": str(path.absolute())}
+
+
+def _fingerprint(path: Path) -> dict[str, Any]:
     try:
         known = os.stat(path)
         with open(path, "rb") as file:

@@ -1,7 +1,13 @@
-"""SICD: complex SAR images in NITF with their geometry, by sarkit (the `sicd` extra)."""
+"""SICD: complex SAR images in NITF with their geometry, by sarkit (the `sicd` extra), read by windows."""
 
 from __future__ import annotations
 
+import logging
+import re
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import cached_property
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -10,6 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import InputError
+from featreg.io.gdal_errors import decoding
+from featreg.io.reader import Band, Raster
+from featreg.io.window import Window
 from featreg.types import FloatArray, Geolocation
 
 #: Bytes at the end of a file among which the XML of a SICD begins: it follows the image segments.
@@ -20,43 +29,104 @@ GRID = 9
 SEMI_MAJOR, FLATTENING = 6378137.0, 1 / 298.257223563
 
 
-def is_sicd(path: Path) -> bool:
-    """Whether a NITF file holds a SICD."""
+def standard_of(path: Path) -> tuple[str, str]:
+    """("SICD", "1.4.0") or ("SIDD", "3.0.0") of a NITF file that holds one; ("", "") of any other."""
     with path.open("rb") as file:
         file.seek(0, 2)
         file.seek(max(0, file.tell() - TAIL))
-        return b"urn:SICD:" in file.read()
+        found = re.search(rb"urn:(SICD|SIDD):(\d+(?:\.\d+)*)", file.read())
+    return ("", "") if found is None else (found[1].decode(), found[2].decode())
 
 
-def read_sicd(path: Path) -> tuple[NDArray[np.complex64], Geolocation | None]:
-    """Read the samples (rows, columns) and the geometry of a SICD.
+class SicdReader:
+    """A SICD.
 
-    Returns
-    -------
-    samples : complex64, of any of the three pixel types
-    geolocation : ground control points at the height of the scene centre point, longitude and latitude on WGS84; None
-        where the projection does not converge
+    Parameters
+    ----------
+    path : of the file
+    version : of the standard, as the file states it
 
     Raises
     ------
     InputError
-        sarkit is not installed.
+        sarkit is not installed or does not know this version, or the file is broken.
     """
-    try:
-        sicd: Any = import_module("sarkit.sicd")
-    except ImportError as error:
-        message = f"{path}: is a SICD, which needs sarkit; install it with: pip install 'featreg[sicd]'"
-        raise InputError(message) from error
-    with path.open("rb") as file, sicd.NitfReader(file) as reader:
-        tree = reader.metadata.xmltree
-        raw = reader.read_image()
-    table = tree.findall("{*}ImageData/{*}AmpTable/{*}Amplitude")
-    lookup = None
-    if table:
+
+    driver = "SICD"
+    whole = False
+
+    def __init__(self, path: Path, version: str) -> None:
+        try:
+            self._sicd: Any = import_module("sarkit.sicd")
+        except ImportError as error:
+            message = f"{path}: is a SICD, which needs sarkit; install it with: pip install 'featreg[sicd]'"
+            raise InputError(message) from error
+        known = [name.rpartition(":")[2] for name in self._sicd.VERSION_INFO]
+        # A version within one that is listed is read alike: 1.2.0 as 1.2.1.
+        if version.split(".")[:2] not in [name.split(".")[:2] for name in known]:
+            raise InputError(
+                f"{path}: is a SICD of version {version}, and {', '.join(known)} are read; convert it to one of these"
+            )
+        self.path = path
+        self.files: Sequence[str] = [str(path)]
+        self._file = path.open("rb")
+        try:
+            with decoding(path, "SICD"), _silent():
+                self._reader = self._sicd.NitfReader(self._file)
+                self.tree = self._reader.metadata.xmltree
+                size = [int(self.tree.findtext(f"{{*}}ImageData/{{*}}{name}")) for name in ("NumRows", "NumCols")]
+                if min(size) < 1:
+                    raise InputError(f"{path}: the SICD file states {size[1]} x {size[0]} pixels, an image has some")
+        except BaseException:
+            self._file.close()
+            raise
+        name = self.tree.findtext("{*}ImageFormation/{*}TxRcvPolarizationProc") or ""
+        self.bands: Sequence[Band] = [Band(name.replace(":", ""), (size[0], size[1]), "complex64")]
+
+    @cached_property
+    def _lookup(self) -> FloatArray | None:
+        table = self.tree.findall("{*}ImageData/{*}AmpTable/{*}Amplitude")
+        if not table:
+            return None
         lookup = np.zeros(256)
         for entry in table:
             lookup[int(entry.get("index"))] = float(entry.text)
-    return _samples(raw, lookup), _geolocation(sicd, tree, raw.shape)
+        return lookup
+
+    def read(self, band: int, window: Window | None = None) -> Raster:
+        """Samples (rows, columns) as complex64, of any of the three pixel types."""
+        height, width = self.bands[0].shape
+        w = window or Window(0, 0, width, height)
+        with decoding(self.path, "SICD"), _silent():
+            raw = self._reader.read_sub_image(w.y, w.x, w.y + w.height, w.x + w.width)[0]
+            samples = _samples(raw, self._lookup)
+        return Raster(samples, "complex64")
+
+    def geolocation(self, band: int) -> Geolocation | None:
+        """Ground control points at the height of the scene centre point, longitude and latitude on WGS84; None where
+        the projection does not converge.
+        """
+        with decoding(self.path, "SICD"), _silent():
+            return _geolocation(self._sicd, self.tree, self.bands[0].shape)
+
+    def close(self) -> None:
+        self._file.close()
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """Keep sarkit and what it rests on from speaking on stderr of files that deviate from the standard."""
+    loggers = [logging.getLogger(name) for name in ("sarkit", "jbpy")]
+    before = [one.level for one in loggers]
+    try:
+        for one in loggers:
+            one.setLevel(logging.CRITICAL)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        for one, level in zip(loggers, before, strict=True):
+            one.setLevel(level)
 
 
 def _samples(raw: NDArray[Any], lookup: FloatArray | None) -> NDArray[np.complex64]:

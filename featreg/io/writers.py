@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import FeatregError, InputError
-from featreg.io.readers import quiet, reason
+from featreg.io.gdal_errors import quiet, reason
 from featreg.runtime.files import temporary_path
 from featreg.types import Geolocation
 

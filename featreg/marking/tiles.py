@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from featreg.errors import ParameterError
+from featreg.io.bands import BandLike
 from featreg.io.raster_source import Window, open_source
 from featreg.pictures.panels import resized, tone, tone_limits
 from featreg.types import Image
@@ -23,11 +24,11 @@ class TiledScene:
 
     Parameters
     ----------
-    source : path, array or `Image` as `featreg.match` takes them
+    source, band : path, array or `Image`, and which band of a file, as `featreg.match` takes them
     """
 
-    def __init__(self, source: Any) -> None:
-        self.source = open_source(source)
+    def __init__(self, source: Any, band: BandLike = None) -> None:
+        self.source = open_source(source, band=band)
         self.shape = self.source.shape
         self.name = self.source.name
         factor = 1

@@ -27,8 +27,9 @@ def input_image(image: Image | Source) -> InputImage:
         size = pixel_size(place)
     if isinstance(image, Image):
         count = int(np.count_nonzero(image.mask))
-        return InputImage(image.name, image.shape, image.scale, image.source_dtype, count, size, place)
-    return InputImage(image.name, image.shape, image.known_scale, image.dtype, None, size, place)
+        return InputImage(image.name, image.shape, image.scale, image.source_dtype, count, size, place, image.band)
+    band = None if image.band is None else str(image.band)
+    return InputImage(image.path, image.shape, image.known_scale, image.dtype, None, size, place, band)
 
 
 def pixel_ratio(reference: InputImage, secondary: InputImage, initial: Model | None = None) -> tuple[float, float]:

@@ -51,6 +51,9 @@ KEYWORDS = (
     Keyword("secondary_mask", "image", "--mask-secondary"),
     Keyword("nodata", "image", "--nodata"),
     Keyword("scale", "image", "--scale"),
+    Keyword("band", "image", "--band"),
+    Keyword("reference_band", "image", "--reference-band"),
+    Keyword("secondary_band", "image", "--secondary-band"),
     Keyword("focus", "image", "--focus"),
     Keyword("block", "blocks", "--block or --whole"),
     Keyword("dem", "blocks", "--dem"),
@@ -82,9 +85,18 @@ def deciding(keywords: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def of_keypoints(keywords: Mapping[str, Any]) -> dict[str, Any]:
-    """Those keywords on which the keypoints of one image depend, its mask apart: the pipeline's and how it is read."""
-    masks = ("reference_mask", "secondary_mask")
-    return {name: value for name, value in _kept(keywords, "method", "part", "image") if name not in masks}
+    """Those keywords on which the keypoints of one image depend, those of its role apart: the pipeline's and how it is
+    read.
+    """
+    roles = ("reference_mask", "secondary_mask", "reference_band", "secondary_band")
+    return {name: value for name, value in _kept(keywords, "method", "part", "image") if name not in roles}
+
+
+def bands_of(keywords: Mapping[str, Any]) -> tuple[Any, Any]:
+    """Which band of the reference and of the secondary is read, by `band` and by those of their roles."""
+    common = keywords.get("band")
+    first, second = (keywords.get(f"{role}_band") for role in ("reference", "secondary"))
+    return common if first is None else first, common if second is None else second
 
 
 def _kept(keywords: Mapping[str, Any], *decides: Decides) -> Iterator[tuple[str, Any]]:

@@ -10,7 +10,8 @@ import numpy as np
 
 from featreg.errors import InputError, ParameterError
 from featreg.interfaces import Model
-from featreg.io.raster_source import RasterSource
+from featreg.io.raster_files import is_same, is_there
+from featreg.io.raster_source import RasterSource, located_source
 from featreg.products.lattice import OtherGrids, resized
 from featreg.products.placement import IDENTITY, Placed, relation
 from featreg.products.resample import model_of, stated_shape
@@ -66,7 +67,7 @@ def reference_grid(registration: Registration, like: str | Path | tuple[int, int
     if isinstance(like, tuple):
         return Grid(stated_shape(like), None, None, IDENTITY)
     if like is not None:
-        source = RasterSource(str(like), band=1)
+        source = located_source(like)
         placed = None if known is None else relation(_placed(source), _matched(known, "reference"))
         if placed is None:
             same = IDENTITY if size is None else _same_footprint(str(like), source.shape, "reference", size)
@@ -75,9 +76,9 @@ def reference_grid(registration: Registration, like: str | Path | tuple[int, int
     if known is None or size is None:
         raise InputError("the registration does not say the reference's size; give the reference image as like")
     path = known.path
-    if Path(path).is_file():
+    if is_there(path):
         try:
-            source = RasterSource(path, band=1)
+            source = located_source(path, known.band)
             if source.shape != size:
                 logger.warning(
                     "%s is not the reference any more: %s, it was %s", path, _size(source.shape), _size(size)
@@ -112,9 +113,9 @@ def _placed(source: RasterSource) -> Placed:
 def _matched(image: InputImage, role: str) -> Placed:
     """Where an image was when it was matched: as the result says, else as its file does, where it is the same still."""
     name = f"the {role} of the result"
-    if image.geolocation is None and Path(image.path).is_file():
+    if image.geolocation is None and is_there(image.path):
         try:
-            source = RasterSource(image.path, band=1)
+            source = located_source(image.path, image.band)
             if source.shape == image.shape:
                 return Placed(name, image.shape, source.geolocation)
         except InputError:
@@ -161,7 +162,7 @@ def grid_model(
 
 def _by_georeferencing(matched: InputImage, source: RasterSource) -> FloatArray | None:
     """The map from the matched secondary to another file, where both say where they lie."""
-    if Path(matched.path).is_file() and Path(matched.path).samefile(source.path) and source.shape == matched.shape:
+    if is_same(matched.path, source.path) and source.shape == matched.shape:
         return None
     return relation(_matched(matched, "secondary"), _placed(source))
 

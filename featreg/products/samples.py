@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.io.raster_source import RasterSource
-from featreg.io.readers import gdal_dataset
 from featreg.types import BoolArray
 
 #: Integers that a product keeps; all other real samples become float32.
@@ -62,11 +61,10 @@ class Encoding:
 
 def encoding_of(source: RasterSource) -> Encoding:
     """Return how a product of this source is to be written."""
-    gain, offset, own = 1.0, 0.0, None
-    with gdal_dataset(source.path) as dataset:
-        if dataset is not None:
-            band = max(source.band, 1) - 1
-            own, gain, offset = dataset.nodatavals[band], dataset.scales[band], dataset.offsets[band]
+    first = source.head.first
+    own, gain, offset = first.nodata, first.gain, first.offset
+    if source.head.choice.how != "one":
+        gain, offset = 1.0, 0.0
     if source.is_complex:
         return Encoding("complex64", None, "complex")
     given = source.nodata if source.nodata is not None else own

@@ -5,7 +5,6 @@ Windows go in order into a plain tiled TIFF, which is then copied to a cloud-opt
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,8 +15,12 @@ from numpy.typing import NDArray
 from featreg._version import __version__
 from featreg.errors import InputError, ParameterError, suggest
 from featreg.interfaces import Model
+from featreg.io.bands import BandLike, listing
+from featreg.io.gdal_errors import quiet
+from featreg.io.opening import open_reader
+from featreg.io.raster_files import is_same
 from featreg.io.raster_source import RasterSource, Window
-from featreg.io.readers import gdal_dataset, quiet
+from featreg.io.source_names import parse_source
 from featreg.io.writers import refuse_input, replacing
 from featreg.products.coherence import coherence as coherence_of
 from featreg.products.coherence import window_size
@@ -72,7 +75,7 @@ def warp_file(
     *,
     like: str | Path | tuple[int, int] | None = None,
     resampling: str = "lanczos",
-    band: int | None = None,
+    band: BandLike = None,
     scale: str | None = None,
     nodata: float | None = None,
     secondary_scale: float | tuple[float, float] | None = None,
@@ -93,7 +96,8 @@ def warp_file(
     output : GeoTIFF to write, replaced if it exists; the file appears whole or not at all
     like : the reference, or a file of its footprint with another pixel size, or (H, W); default: the path in the result
     resampling : "nearest", "bilinear", "cubic" or "lanczos"
-    band : the one band to warp, from 1; None for all
+    band : the one band to warp: its number from 1, its name, "iq" or "rgb"; None for that of the result where the
+        secondary is the file that was matched, else for all
     scale : what real samples are: "amplitude", "intensity" or "db"; default: as in the result, else told from them
     nodata : value of samples without data; default: the file's own
     secondary_scale : pixels of this file per pixel of the secondary that was matched (one number, or along x and along
@@ -145,6 +149,7 @@ def warp_file(
         if when is not None:
             check_item(target, grid.geolocation, grid.shape, grid.path or "the reference", [*inputs, given])
     scale = _recorded_scale(registration, secondary) if scale is None else scale
+    band = _recorded_band(registration, secondary) if band is None else band
     sources = _sources(secondary, band, scale, nodata)
     wanted = (secondary_scale,) * 2 if isinstance(secondary_scale, int | float) else secondary_scale
     if wanted is not None and len(wanted) != 2:
@@ -184,7 +189,7 @@ def warp_file(
             mean = _write_coherence(plain, partner, Path(coherence), grid, coherence_window, runner, tags, inputs)
         cloud_optimised(plain, target, "NEAREST" if flat else "AVERAGE", first.dtype, runner.workers)
         plain.unlink()
-    numbers = tuple(max(source.band, 1) for source in sources)
+    numbers = tuple(number + 1 for source in sources for number in source.head.choice.bands)
     share = good / (grid.shape[0] * grid.shape[1])
     located = grid.geolocation is not None
     items: list[Path] = []
@@ -257,34 +262,36 @@ class _Job:
         return (values if image.is_complex else np.maximum(values, 0)), mask
 
 
-def _sources(secondary: str, band: int | None, scale: str | None, nodata: float | None) -> list[RasterSource]:
-    from rasterio.enums import ColorInterp
-
-    numbers: Sequence[int] = [0]
-    with gdal_dataset(secondary) as dataset:
-        if dataset is not None:
-            numbers = [k + 1 for k, colour in enumerate(dataset.colorinterp) if colour != ColorInterp.alpha]
-            kinds = {dataset.dtypes[k - 1] for k in numbers}
-            if band is None and len(kinds) > 1:
-                raise InputError(
-                    f"{secondary}: its bands are of several dtypes ({', '.join(sorted(kinds))}); give one band"
-                )
-    if band is not None and band not in (numbers if numbers[0] else [1]):
-        listed = ", ".join(str(max(n, 1)) for n in numbers)
-        raise ParameterError(f"{secondary}: has band {listed}, band {band} was asked for")
-    # A palette or a file that is read whole has one band, which must not be asked for by number.
-    alone = len(numbers) == 1
-    chosen = [0] if alone else (numbers if band is None else [band])
-    return [RasterSource(secondary, scale, nodata, number).checked() for number in chosen]
+def _sources(secondary: str, band: BandLike, scale: str | None, nodata: float | None) -> list[RasterSource]:
+    """The bands to warp: the one that is asked for or meant, else all of one size and kind."""
+    reader = open_reader(secondary)
+    try:
+        bands = list(reader.bands)
+    finally:
+        reader.close()
+    data = [i for i, known in enumerate(bands) if known.role != "alpha"]
+    if band is not None or len(data) < 2 or parse_source(secondary).dataset is not None:
+        return [RasterSource(secondary, scale, nodata, band).checked()]
+    kinds, sizes = {bands[i].dtype for i in data}, {bands[i].shape for i in data}
+    if len(kinds) > 1 or len(sizes) > 1:
+        what = "dtypes" if len(kinds) > 1 else "sizes"
+        raise InputError(f"{secondary}: its bands are of several {what}; give one band: {listing(bands)}")
+    return [RasterSource(secondary, scale, nodata, i + 1).checked() for i in data]
 
 
 def _recorded_scale(registration: Registration, secondary: str) -> str | None:
     known = registration.secondary
     if known is None or known.scale == "complex":
         return None
-    path, other = Path(known.path), Path(secondary)
-    same = known.path == secondary or (path.exists() and other.exists() and path.samefile(other))
-    return known.scale if same else None
+    return known.scale if is_same(known.path, secondary) else None
+
+
+def _recorded_band(registration: Registration, secondary: str) -> str | None:
+    """What the result says was read of the file, where that is more than one of its bands."""
+    known = registration.secondary
+    if known is None or known.band is None or not is_same(known.path, secondary):
+        return None
+    return known.band if known.band.startswith("iq") else None
 
 
 def _partner(grid: Grid) -> RasterSource:

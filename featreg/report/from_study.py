@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from featreg.io import as_image
+from featreg.pipeline.keywords import bands_of
 from featreg.report.data import Better, ReportColumn, ReportEntry, ReportPair, ReportStudy, ReportSweep, ReportTable
 from featreg.report.page import write_report
 from featreg.results.registration import Registration
@@ -42,8 +43,8 @@ def report_of(study: Study) -> ReportStudy:
     pairs = [
         ReportPair(
             pair.name,
-            _reader(study, pair.reference),
-            _reader(study, pair.secondary),
+            _reader(study, pair.reference, bands_of(study.protocol.keywords())[0]),
+            _reader(study, pair.secondary, bands_of(study.protocol.keywords())[1]),
             pair.truth,
             "" if pair.truth is None else str(pair.truth),
         )
@@ -66,14 +67,14 @@ def _many(count: int, what: str) -> str:
     return f"{count} {what}{'s' * (count != 1)}"
 
 
-def _reader(study: Study, source: Any) -> Any:
+def _reader(study: Study, source: Any, band: Any) -> Any:
     """The image or its path, of which a large one need not be read whole; where its samples must be told first, a
     function that reads it as it was read for the matching.
     """
     protocol = study.protocol
-    if isinstance(source, Image) or (protocol.nodata is None and protocol.scale is None):
+    if isinstance(source, Image) or (protocol.nodata is None and protocol.scale is None and band is None):
         return source
-    return partial(as_image, source, nodata=protocol.nodata, scale=protocol.scale)
+    return partial(as_image, source, nodata=protocol.nodata, scale=protocol.scale, band=band)
 
 
 def _entry(study: Study, job: Job, row: Mapping[str, Any], table: Table) -> ReportEntry:

@@ -25,6 +25,7 @@ class InputImage:
     valid_pixels : how many are data; None where they were never counted
     pixel_size : on the ground, where its geolocation tells it
     geolocation : where it lies, as its file says it
+    band : what was read of a file of several bands; None where it has one only
 
     Raises
     ------
@@ -39,6 +40,7 @@ class InputImage:
     valid_pixels: int | None = None
     pixel_size: PixelSize | None = None
     geolocation: Geolocation | None = None
+    band: str | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.path, str):
@@ -57,6 +59,7 @@ class InputImage:
             "valid_pixels": self.valid_pixels,
             "pixel_size": None if self.pixel_size is None else self.pixel_size._asdict(),
             "geolocation": None if place is None else _known(vars(place)),
+            "band": self.band,
         }
         return {"path": self.path, "width": self.shape[1], "height": self.shape[0], **_known(more)}
 
@@ -75,6 +78,7 @@ class InputImage:
             values.get("valid_pixels"),
             None if size is None else PixelSize(**size),
             None if place is None else _geolocation(**place),
+            None if values.get("band") is None else str(values["band"]),
         )
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from featreg.errors import CancelledError, InputError, ParameterError
 from featreg.geolocation import ConstantHeight, DemHeights, Heights, RpcBias, Transfer, ground_level, sensor_of
 from featreg.interfaces import Matcher, Model
-from featreg.io.raster_source import ImageSource, Source
+from featreg.io.raster_source import Source
 from featreg.pipeline.frame import linear_at
 from featreg.pipeline.inputs import input_image
 from featreg.pipeline.pipeline import Pipeline
@@ -184,16 +184,14 @@ def _shareable(reference: Source, secondary: Source, executor: TaskExecutor, sta
     """The scenes as workers that do not share this memory and this folder find them: as files, by absolute names."""
     if not executor.own_process:
         return reference, secondary
-    folder: Path | None = None
-    made: list[Source] = []
-    for role, source in (("reference", reference), ("secondary", secondary)):
-        if isinstance(source, ImageSource):
-            folder = folder or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="featreg-scene-")))
-            made.append(source.spooled(folder, role))
-        else:
-            mask = os.path.abspath(source.mask) if isinstance(source.mask, str) else source.mask
-            made.append(replace(source, path=os.path.abspath(source.path), mask=mask))
-    return made[0], made[1]
+    made: list[Path] = []
+
+    def folder() -> Path:
+        if not made:
+            made.append(Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="featreg-scene-"))))
+        return made[0]
+
+    return reference.shareable(folder, "reference"), secondary.shareable(folder, "secondary")
 
 
 def _bound(pipeline: Pipeline, reference: Source, secondary: Source, heights: Heights) -> Pipeline:

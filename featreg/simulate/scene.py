@@ -18,7 +18,7 @@ from featreg.geolocation.heights import Heights
 from featreg.geolocation.rpc import RpcSensor
 from featreg.geolocation.sensor import METRES_PER_DEGREE, Sensor
 from featreg.geolocation.transfer import Transfer, on_ground
-from featreg.io.readers import quiet
+from featreg.io.gdal_errors import quiet
 from featreg.io.writers import replacing
 from featreg.runtime.parameters import checked
 from featreg.simulate.ground import SIDE, Ground

@@ -217,6 +217,7 @@ class _Engine:
         """Name and keywords of a detection; a method has the same keypoints in an image whatever the pair."""
         keywords = detection(self.methods[job.method].keywords, role)
         own = f" as {role}" if "mask" in keywords else ""
+        own += f" band {keywords['band']}" if "band" in keywords else ""
         return f"{job.method}: {self._image_name(job, role)}{own}", keywords
 
     def _image_name(self, job: Job, role: str) -> str:

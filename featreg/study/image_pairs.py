@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from featreg.errors import FeatregError, InputError, suggest
+from featreg.io.source_names import parse_source
 from featreg.study.jobs import Pair
 from featreg.study.truth import TRUTH_SUFFIXES, Truth, read_truth
 
@@ -36,7 +37,7 @@ def resolve(given: Sequence[Any]) -> list[Pair]:
     found: list[Pair] = []
     for i, pair in enumerate(given, start=1):
         reference, secondary, truth, name = parts(pair, f"pair {i}")
-        images = [Path(image) if isinstance(image, str) else image for image in (reference, secondary)]
+        images = [_file_or_name(image) for image in (reference, secondary)]
         paths = [Path(p) for p in (getattr(image, "name", image) for image in images) if isinstance(p, str | Path)]
         usual = " / ".join(p.stem for p in paths) if len(paths) == 2 and paths[0] != paths[1] else f"pair {i}"
         known = None if truth is None else _truth(truth, images, f"pair {i}")
@@ -97,8 +98,32 @@ def pairs_in(folder: str | Path) -> list[dict[str, str]]:
     return sorted(found, key=lambda pair: pair["name"])
 
 
-def _truth(truth: Any, images: Sequence[Any], where: str) -> Truth:
+def _truth(truth: Any, images: Sequence[Any], where: str) -> Truth | None:
     try:
         return read_truth(truth, images=(images[0], images[1]))
     except FeatregError as error:
+        if not all(_opens(image) for image in images):
+            # The pair's own row says why it could not be matched.
+            return None
         raise InputError(f"{where}: {error}") from error
+
+
+def _file_or_name(image: Any) -> Any:
+    """A file as a path, whose content counts in digests; a dataset inside a file keeps its name."""
+    if not isinstance(image, str):
+        return image
+    named = parse_source(image)
+    return named.path if named.path is not None and named.dataset is None and named.gdal is None else image
+
+
+def _opens(image: Any) -> bool:
+    """Whether an image can be opened at all; one that is no file is looked at when it is matched."""
+    from featreg.io.opening import open_reader
+
+    if not isinstance(image, str | Path):
+        return True
+    try:
+        open_reader(image).close()
+    except FeatregError:
+        return False
+    return True

@@ -8,7 +8,7 @@ from typing import Any
 
 from featreg.errors import CancelledError
 from featreg.matching import keypoints_of
-from featreg.pipeline.keywords import of_keypoints
+from featreg.pipeline.keywords import bands_of, of_keypoints
 from featreg.results.registration import Registration
 from featreg.runtime.threads import single_threaded
 from featreg.study.truth import Truth
@@ -105,9 +105,10 @@ def outcome(call: Callable[[], Registration | str]) -> Registration | str:
 
 
 def detection(keywords: Mapping[str, Any], role: str) -> dict[str, Any]:
-    """The keywords that decide the keypoints of one image, its mask under the name "mask"."""
-    mask = keywords.get(f"{role}_mask")
-    return of_keypoints(keywords) | ({} if mask is None else {"mask": mask})
+    """The keywords that decide the keypoints of one image, its mask and band under the names "mask" and "band"."""
+    mask, band = keywords.get(f"{role}_mask"), bands_of(keywords)[ROLES.index(role)]
+    own = {"mask": mask, "band": band}
+    return of_keypoints(keywords) | {name: value for name, value in own.items() if value is not None}
 
 
 def find_keypoints(image: Any, keywords: Mapping[str, Any]) -> FloatArray | None:

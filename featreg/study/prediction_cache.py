@@ -16,6 +16,7 @@ import numpy as np
 from featreg._version import __version__
 from featreg.errors import FeatregError, InputError
 from featreg.interfaces import Model, Plugin
+from featreg.io.raster_files import files_of
 from featreg.pipeline.keywords import deciding, of_pipeline
 from featreg.registry import KINDS, entries
 from featreg.results.json_file import write_registration
@@ -50,7 +51,7 @@ class PredictionCache:
             return None
         try:
             if name not in self.images:
-                self.images[name] = _digest(list(images))
+                self.images[name] = _digest([_content(image) for image in images])
             decides = deciding(keywords)
             return _digest([f"featreg {__version__}", _code(decides), self.images[name], decides, also])
         except (TypeError, ValueError, AttributeError, OSError, RecursionError):
@@ -100,6 +101,19 @@ class PredictionCache:
         out = io.BytesIO()
         np.savez_compressed(out, xy=xy, key=np.array(key))
         write_atomic(self.folder / f"{key}.npz", out.getvalue())
+
+
+def _content(image: Any) -> Any:
+    """What the digest of an image is taken of: of a product, a dataset or a raster with a header, all its files."""
+    if not isinstance(image, str | Path):
+        return image
+    try:
+        files = [Path(file) for file in files_of(str(image))]
+    except FeatregError:
+        files = [Path(image)]
+    if not files:
+        raise ValueError("an image elsewhere has no certain content")
+    return files if isinstance(image, Path) and image.is_file() else [str(image), *files]
 
 
 def _code(keywords: Mapping[str, Any]) -> list[str]:

@@ -25,6 +25,7 @@ def _number(value: Any, low: float | None = None, high: float = float("inf")) ->
 
 
 _NAME = (lambda value: isinstance(value, str), "a name")
+_BAND = (lambda value: _number(value, 0) or isinstance(value, str), "a name or a number from 1")
 _SWITCH = (lambda value: isinstance(value, bool), "true or false")
 #: Field of a protocol -> whether a value is possible, and what is; those that are None by default may be None.
 VALUES: Mapping[str, tuple[Callable[[Any], bool], str]] = {
@@ -36,6 +37,9 @@ VALUES: Mapping[str, tuple[Callable[[Any], bool], str]] = {
     "refine": _SWITCH,
     "scale": _NAME,
     "nodata": (_number, "a number"),
+    "band": _BAND,
+    "reference_band": _BAND,
+    "secondary_band": _BAND,
     "time_limit": (lambda value: _number(value, 0), "a number of seconds > 0"),
     "timing": _SWITCH,
     "warm_up": _SWITCH,
@@ -55,7 +59,7 @@ class Protocol:
     filters : one chain of filters for all; None leaves each method its own
     model : geometric model; None for each method's own
     refine : refinement on or off for all; None for each method's own
-    scale, nodata : what the samples are, as `featreg.match` takes them
+    scale, nodata, band, reference_band, secondary_band : what the samples are, as `featreg.match` takes them
     time_limit : s, of one job in its own process; None for no limit
     timing : measure times in a serial pass
     warm_up : discard the first call of each method when times are measured
@@ -70,6 +74,9 @@ class Protocol:
     refine: bool | None = None
     scale: str | None = None
     nodata: float | None = None
+    band: str | int | None = None
+    reference_band: str | int | None = None
+    secondary_band: str | int | None = None
     time_limit: float | None = None
     timing: bool = True
     warm_up: bool = True
@@ -104,7 +111,8 @@ class Protocol:
 
     def keywords(self) -> dict[str, Any]:
         """The part that decides what is matched, as keywords of `featreg.match`."""
-        given = {name: getattr(self, name) for name in ("n_features", "filters", "model", "refine", "scale", "nodata")}
+        reading = ("scale", "nodata", "band", "reference_band", "secondary_band")
+        given = {name: getattr(self, name) for name in ("n_features", "filters", "model", "refine", *reading)}
         return {name: list(v) if name == "filters" else v for name, v in given.items() if v is not None}
 
     def to_dict(self) -> dict[str, Any]:

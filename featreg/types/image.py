@@ -50,6 +50,7 @@ class Image(ReadOnlyArrays, Shown):
     name : the path it came from, or "array"
     source_dtype : dtype of the samples before conversion; 8-bit sources are not stretched again for 8-bit code
     scale : what the source held: "amplitude", "intensity", "db" or "complex"
+    band : what was read of a file of several bands, as `featreg.io.as_image` takes it; None = its only one
     filled : (H, W) bool, of an image prepared for features the valid pixels that hold no sample of their own but what
         the samples around them say; None = none
 
@@ -71,6 +72,7 @@ class Image(ReadOnlyArrays, Shown):
     source_dtype: str = "float32"
     scale: str = "amplitude"
     filled: BoolArray | None = None
+    band: str | None = None
     _derived: DerivedMaps = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:

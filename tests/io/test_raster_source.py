@@ -24,7 +24,7 @@ WINDOWS = [Window(0, 0, 170, 150), Window(20, 30, 50, 40), Window(-7, 100, 60, 8
 def write(path: Path, array: NDArray[Any], **profile: Any) -> Path:
     import rasterio
 
-    from featreg.io.readers import quiet
+    from featreg.io.gdal_errors import quiet
 
     size = {"height": array.shape[0], "width": array.shape[1], "count": 1, "dtype": array.dtype.name}
     with quiet(), rasterio.open(path, "w", driver="GTiff", **size, **profile) as dataset:
@@ -180,7 +180,7 @@ def test_a_changed_file_is_read_anew(tmp_path: Path) -> None:
 def test_another_band_can_be_chosen(tmp_path: Path) -> None:
     import rasterio
 
-    from featreg.io.readers import quiet
+    from featreg.io.gdal_errors import quiet
 
     bands = np.stack([amplitude(0), amplitude(1)])
     size = {"height": SHAPE[0], "width": SHAPE[1], "count": 2, "dtype": "float32"}
@@ -199,9 +199,9 @@ def test_another_band_can_be_chosen(tmp_path: Path) -> None:
     [
         ("missing.tif", None, "no such file"),
         ("empty.tif", b"", "is empty"),
-        ("wrong.tif", b"not a tiff at all", "not a TIFF"),
+        ("wrong.tif", b"not a tiff at all", "not TIFF"),
         ("broken.tif", b"II*\0" + bytes(200), "broken"),
-        ("wrong.npy", b"not an array", "not an NPY"),
+        ("wrong.npy", b"not an array", "not NPY"),
         ("notes.txt", b"words", "not a known image format"),
     ],
 )

@@ -180,16 +180,17 @@ def test_whole_images_are_cancelled_between_stages(after: int, pair: SimulatedPa
 
 
 def test_a_small_file_is_opened_once(located_pair: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    import rasterio
+    from featreg.io import opening
 
     opened: list[str] = []
-    real = rasterio.open
+    real = opening.open_reader
 
-    def counted(path: Any, *arguments: Any, **keywords: Any) -> Any:
-        opened.append(Path(path).name)
-        return real(path, *arguments, **keywords)
+    def counted(source: Any) -> Any:
+        opened.append(Path(source).name)
+        return real(source)
 
-    monkeypatch.setattr("rasterio.open", counted)
+    monkeypatch.setattr(opening, "open_reader", counted)
+    monkeypatch.setattr("featreg.io.raster_files.open_reader", counted)
     featreg.match(located_pair.reference, located_pair.secondary, n_features=300)
     assert sorted(opened) == ["reference.tif", "secondary.tif"]
 

@@ -1,0 +1,177 @@
+"""Rasters that GDAL reads, by windows: bands with their roles and names, masks, palettes, where they lie."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from featreg.errors import InputError
+from featreg.io.bands import COLOURS, luminance
+from featreg.io.gdal_drivers import BY_NAME
+from featreg.io.gdal_errors import GDAL_OPTIONS, decoding, quiet, reason
+from featreg.io.reader import Band, Raster
+from featreg.io.scales import scale_in_words
+from featreg.io.window import Window
+from featreg.types import BoolArray, Geolocation
+
+#: Bytes that GDAL may keep of the tiles it has decoded, in each process; two rows of tiles of a wide scene.
+CACHE_BYTES = 64 << 20
+#: Bands of a file; hyperspectral ones have some hundred, a damaged header may state 65 535.
+MOST_BANDS = 4096
+
+logger = logging.getLogger("featreg.io")
+
+
+class GdalReader:
+    """A raster of GDAL.
+
+    Parameters
+    ----------
+    name : what GDAL is given; an absolute path, a name below /vsi, or one in GDAL's manner
+    drivers : GDAL's names of those that may open it, so that neither the name nor the content sends it elsewhere
+    called : what the file is called in messages
+
+    Raises
+    ------
+    InputError
+        The file is broken, or none of the drivers takes it.
+    """
+
+    def __init__(self, name: str, drivers: Sequence[str], called: str) -> None:
+        import rasterio
+        from rasterio.io import DatasetReader
+
+        self.called = called
+        first = BY_NAME.get(drivers[0])
+        self.title = first.title if first is not None and len(drivers) == 1 else ""
+        with quiet(), rasterio.Env(**GDAL_OPTIONS, GDAL_CACHEMAX=CACHE_BYTES), decoding(called, self.title or "image"):
+            self.dataset: Any = DatasetReader(name, driver=list(drivers))
+        self.driver: str = self.dataset.driver
+        self.title = self.title or (BY_NAME[self.driver].title if self.driver in BY_NAME else self.driver)
+        self.whole = self.driver in BY_NAME and BY_NAME[self.driver].whole
+
+    @cached_property
+    def bands(self) -> Sequence[Band]:
+        from rasterio.enums import ColorInterp
+
+        dataset = self.dataset
+        with decoding(self.called, self.title), quiet():
+            pages = dataset.subdatasets
+            if len(pages) > 1 and (self.driver == "GTiff" or dataset.count == 0):
+                raise InputError(
+                    f"{self.called}: holds {len(pages)} pages, one image is needed; name one, as in '{pages[0]}'"
+                )
+            if dataset.count > MOST_BANDS:
+                raise InputError(
+                    f"{self.called}: states {dataset.count} bands, more than {MOST_BANDS} are not read; is it damaged?"
+                )
+            # Each of these is looked up for all bands at once.
+            names, units, kinds = dataset.descriptions, dataset.units, dataset.dtypes
+            colours, holes, gains, offsets = dataset.colorinterp, dataset.nodatavals, dataset.scales, dataset.offsets
+            roles = {getattr(ColorInterp, name): name for name in (*COLOURS, "alpha")}
+            found = []
+            for i in range(dataset.count):
+                tags = dataset.tags(i + 1)
+                more = [tags.get(name) for name in ("units", "long_name", "standard_name", "DESCRIPTION")]
+                found.append(
+                    Band(
+                        names[i] or tags.get("POLARIMETRIC_INTERP") or "",
+                        (dataset.height, dataset.width),
+                        kinds[i],
+                        roles.get(colours[i], ""),
+                        scale_in_words(names[i], units[i], *more),
+                        holes[i],
+                        gains[i],
+                        offsets[i],
+                    )
+                )
+            return found
+
+    @property
+    def files(self) -> Sequence[str]:
+        with decoding(self.called, self.title), quiet():
+            return [name for name in self.dataset.files if not name.startswith("/vsi")]
+
+    def geolocation(self, band: int) -> Geolocation | None:
+        """Where the file says it lies, the same for all its bands."""
+        return self._place
+
+    @cached_property
+    def _place(self) -> Geolocation | None:
+        with decoding(self.called, self.title), quiet():
+            return geolocation_of(self.dataset, self.called)
+
+    def read(self, band: int, window: Window | None = None) -> Raster:
+        import rasterio
+        from rasterio.enums import ColorInterp
+        from rasterio.windows import Window as RasterioWindow
+
+        box = None if window is None else RasterioWindow(window.x, window.y, window.width, window.height)
+        known, dataset = self.bands[band], self.dataset
+        with quiet(), rasterio.Env(**GDAL_OPTIONS, GDAL_CACHEMAX=CACHE_BYTES), decoding(self.called, self.title):
+            samples = dataset.read(band + 1, window=box)
+            mask = self._shown(band + 1, box)
+            if dataset.colorinterp[band] == ColorInterp.palette:
+                samples, opaque = _through_palette(samples, dataset.colormap(band + 1))
+                mask = opaque if mask is None else mask & opaque
+        return Raster(samples, known.dtype, mask, known.nodata, known.gain, known.offset, said=known.said)
+
+    def close(self) -> None:
+        self.dataset.close()
+
+    def _shown(self, band: int, box: Any) -> BoolArray | None:
+        """(H, W) what the file's mask band or alpha band shows of one of its bands; None where it has neither.
+
+        GDAL's own mask leaves out an alpha band where the band also has a nodata value, which the caller compares.
+        """
+        from rasterio.enums import ColorInterp, MaskFlags
+
+        dataset = self.dataset
+        flags = dataset.mask_flag_enums[band - 1]
+        mask: BoolArray | None = None
+        if MaskFlags.per_dataset in flags or MaskFlags.alpha in flags:
+            mask = dataset.read_masks(band, window=box) != 0
+        if MaskFlags.alpha not in flags and ColorInterp.alpha in dataset.colorinterp:
+            opaque = dataset.read(dataset.colorinterp.index(ColorInterp.alpha) + 1, window=box) != 0
+            mask = opaque if mask is None else mask & opaque
+        return mask
+
+
+def _through_palette(samples: NDArray[Any], palette: dict[int, Any]) -> tuple[NDArray[Any], BoolArray]:
+    """Return the luminance of a palette's colours, and where they are opaque; most palettes are gray ones."""
+    table = np.zeros((np.iinfo(samples.dtype).max + 1, 4), np.uint8)
+    table[:, 3] = 255
+    for entry, colour in palette.items():
+        if 0 <= entry < len(table):
+            table[entry] = colour
+    gray = luminance([table[:, 0], table[:, 1], table[:, 2]])
+    return gray[samples], table[samples, 3] > 0
+
+
+def geolocation_of(dataset: Any, called: str) -> Geolocation | None:
+    """Return where an open dataset says it lies, or None where it says nothing."""
+    gcps, gcp_crs = dataset.gcps
+    crs = dataset.crs or gcp_crs
+    try:
+        rpcs = dataset.rpcs.to_dict() if dataset.rpcs else None
+    except Exception as error:  # rasterio takes the numbers apart and raises whatever comes of that
+        logger.warning(
+            "%s: its RPC coefficients cannot be read (%s) and are left out; correct or remove them",
+            called,
+            reason(error),
+        )
+        rpcs = None
+    located = Geolocation(
+        transform=None if dataset.transform.is_identity else tuple(dataset.transform)[:6],
+        crs=crs.to_wkt() if crs else None,
+        rpcs=rpcs,
+        # GDAL counts from the corner of the first pixel, we from its centre.
+        gcps=np.array([(g.col - 0.5, g.row - 0.5, g.x, g.y, g.z or 0.0) for g in gcps]) if gcps else None,
+    )
+    nothing = located.transform is None and located.rpcs is None and located.gcps is None
+    return None if nothing else located

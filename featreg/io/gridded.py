@@ -1,0 +1,296 @@
+"""Variables on grids, as HDF5 and netCDF files hold them: images with coordinate vectors and a coordinate system."""
+
+from __future__ import annotations
+
+import logging
+import posixpath
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from featreg.errors import InputError
+from featreg.io.gdal_errors import decoding
+from featreg.io.reader import Band, Raster
+from featreg.io.scales import scale_in_words
+from featreg.io.window import Window
+from featreg.types import BoolArray, FloatArray, Geolocation
+
+#: Names of coordinates along x and along y, in map units and in degrees.
+ALONG_X, ALONG_Y = ("x", "xcoordinates", "easting", "eastings", "projection_x_coordinate"), (
+    "y", "ycoordinates", "northing", "northings", "projection_y_coordinate",
+)  # fmt: skip
+LONGITUDE, LATITUDE = ("lon", "longitude", "long"), ("lat", "latitude")
+#: Where a coordinate system stands.
+SYSTEMS = ("spatial_ref", "crs", "projection", "grid_mapping", "polar_stereographic", "transverse_mercator")
+#: Coordinates count as evenly spaced where none lies farther off than this share of a step.
+EVEN = 0.05
+#: Nodes along each axis taken from longitudes and latitudes of every pixel.
+NODES = 9
+
+logger = logging.getLogger("featreg.io")
+
+
+@dataclass(frozen=True, eq=False)
+class Variable:
+    """A named array of a file.
+
+    Parameters
+    ----------
+    name : its full path
+    shape, dtype : of the array; a compound of two numbers counts as complex
+    attributes : by name
+    read : called with a slice for each axis
+    dimensions : full paths of the coordinate variables of its axes, "" where there is none
+    """
+
+    name: str
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+    attributes: Mapping[str, Any]
+    read: Callable[[tuple[Any, ...]], NDArray[Any]]
+    dimensions: Sequence[str] = field(default=())
+
+    @cached_property
+    def parts(self) -> tuple[str, str] | None:
+        """The names of real and imaginary part where samples are kept as a pair of numbers."""
+        names = [name.lower() for name in self.dtype.names or ()]
+        if names in (["r", "i"], ["real", "imag"], ["re", "im"]):
+            return self.dtype.names[0], self.dtype.names[1]  # type: ignore[index]
+        return None
+
+    @property
+    def is_image(self) -> bool:
+        """Whether it has two axes, others of length 1 before them apart."""
+        flat = len(self.shape) >= 2 and all(n == 1 for n in self.shape[:-2]) and min(self.shape[-2:]) > 1
+        return flat and (self.parts is not None or self.dtype.kind in "uifc")
+
+    def samples(self, rows: slice, cols: slice) -> NDArray[Any]:
+        raw = self.read((*(0 for _ in self.shape[:-2]), rows, cols))
+        raw = raw.reshape(raw.shape[-2:])
+        if self.parts is None:
+            return raw.astype(raw.dtype.newbyteorder("="), copy=False)
+        out = np.empty(raw.shape, np.complex64)
+        out.real, out.imag = raw[self.parts[0]], raw[self.parts[1]]
+        return out
+
+
+class GriddedReader:
+    """The images among the variables of a file.
+
+    Parameters
+    ----------
+    called : what the file is called in messages
+    driver : "HDF5" or "netCDF"
+    variables : by full path
+    close : what closes the file
+    turned : whether the axes are stored as columns, rows, as MATLAB does
+    """
+
+    whole = False
+
+    def __init__(
+        self,
+        called: str,
+        driver: str,
+        variables: Mapping[str, Variable],
+        close: Callable[[], None],
+        turned: bool = False,
+    ) -> None:
+        self.called, self.driver, self._variables, self._close, self._turned = called, driver, variables, close, turned
+        self.files: Sequence[str] = [called]
+        self._images = [variable for variable in variables.values() if variable.is_image]
+
+    @cached_property
+    def bands(self) -> Sequence[Band]:
+        found = []
+        for variable in self._images:
+            height, width = variable.shape[-2:][:: -1 if self._turned else 1]
+            attributes = variable.attributes
+            words = [text_of(attributes.get(name)) for name in ("units", "long_name", "standard_name", "description")]
+            found.append(
+                Band(
+                    variable.name.lstrip("/"),
+                    (height, width),
+                    "complex64" if variable.parts else variable.dtype.name,
+                    said=scale_in_words(variable.name.rpartition("/")[2], *words),
+                    nodata=_first(attributes, "_FillValue", "missing_value", "nodata"),
+                    gain=_or(number_of(attributes.get("scale_factor")), 1.0),
+                    offset=_or(number_of(attributes.get("add_offset")), 0.0),
+                )
+            )
+        return found
+
+    def read(self, band: int, window: Window | None = None) -> Raster:
+        known = self.bands[band]
+        window = window or Window(0, 0, known.shape[1], known.shape[0])
+        rows, cols = slice(window.y, window.y + window.height), slice(window.x, window.x + window.width)
+        with decoding(self.called, self.driver):
+            axes = (cols, rows) if self._turned else (rows, cols)
+            samples = self._images[band].samples(*axes)
+            samples = np.ascontiguousarray(samples.T) if self._turned else samples
+        return Raster(samples, known.dtype, None, known.nodata, known.gain, known.offset, said=known.said)
+
+    def close(self) -> None:
+        self._close()
+
+    def geolocation(self, band: int) -> Geolocation | None:
+        """From coordinate vectors and a coordinate system, or from longitude and latitude of every pixel."""
+        if self._turned:
+            return None
+        with decoding(self.called, self.driver):
+            return self._located(self._images[band])
+
+    def _located(self, image: Variable) -> Geolocation | None:
+        height, width = image.shape[-2:]
+        for names_x, names_y, degrees in ((ALONG_X, ALONG_Y, False), (LONGITUDE, LATITUDE, True)):
+            x, y = (
+                self._vector(image, names, axis, length)
+                for names, axis, length in ((names_x, -1, width), (names_y, -2, height))
+            )
+            if x is None or y is None:
+                continue
+            steps = [_even(values) for values in (x, y)]
+            if steps[0] is None or steps[1] is None:
+                logger.warning(
+                    "%s: the coordinates of %s are not evenly spaced, so where it lies is left out",
+                    self.called, image.name,
+                )  # fmt: skip
+                return None
+            dx, dy = steps[0], steps[1]
+            corner = float(x[0]) - dx / 2, float(y[0]) - dy / 2
+            crs = self._system(image) or ("EPSG:4326" if degrees else None)
+            return Geolocation(transform=(dx, 0.0, corner[0], 0.0, dy, corner[1]), crs=crs)
+        return self._by_pixels(image)
+
+    def _vector(self, image: Variable, names: Sequence[str], axis: int, length: int) -> FloatArray | None:
+        """The coordinates along an axis: those of its dimension, or of a variable of a known name beside or above."""
+        candidates = []
+        if len(image.dimensions) == len(image.shape) and (named := image.dimensions[axis]):
+            candidates += [named] if named.rpartition("/")[2].lower() in names else []
+        for folder in _folders(image.name):
+            candidates += [path for path in self._in(folder) if path.rpartition("/")[2].lower() in names]
+        for path in candidates:
+            variable = self._variables.get(path)
+            if variable is not None and variable.shape == (length,) and variable.dtype.kind in "uif" and length > 1:
+                values = np.asarray(variable.read((slice(None),)), np.float64)
+                gain, offset = (number_of(variable.attributes.get(n)) for n in ("scale_factor", "add_offset"))
+                values = values * _or(gain, 1.0) + _or(offset, 0.0)
+                if np.isfinite(values).all():
+                    return values
+        return None
+
+    def _in(self, folder: str) -> list[str]:
+        return [path for path in self._variables if posixpath.dirname(path) == folder]
+
+    def _system(self, image: Variable) -> str | None:
+        """The coordinate system: of the grid mapping that is named, or of a variable of a usual name."""
+        named = text_of(image.attributes.get("grid_mapping")).partition(":")[0].strip()
+        wanted = [named.rpartition("/")[2].lower()] if named else list(SYSTEMS)
+        for folder in _folders(image.name):
+            for path in self._in(folder):
+                if path.rpartition("/")[2].lower() in wanted:
+                    crs = self._system_of(self._variables[path])
+                    if crs is not None:
+                        return crs
+        return None
+
+    def _system_of(self, variable: Variable) -> str | None:
+        from rasterio.crs import CRS
+        from rasterio.errors import CRSError
+
+        said = [text_of(variable.attributes.get(name)) for name in ("crs_wkt", "spatial_ref", "proj4")]
+        code = number_of(variable.attributes.get("epsg_code", variable.attributes.get("epsg")))
+        if code is None and not any(said) and variable.shape in ((), (1,)) and variable.dtype.kind in "iu":
+            value = int(np.asarray(variable.read(tuple(slice(None) for _ in variable.shape))).ravel()[0])
+            code = value if 1024 <= value <= 32767 else None
+        tried = [*said, "" if code is None else f"EPSG:{int(code)}"]
+        if text_of(variable.attributes.get("grid_mapping_name")) == "latitude_longitude":
+            tried.append("EPSG:4326")
+        for text in tried:
+            if text:
+                try:
+                    return str(CRS.from_user_input(text).to_wkt())
+                except (CRSError, ValueError):
+                    continue
+        return None
+
+    def _by_pixels(self, image: Variable) -> Geolocation | None:
+        height, width = image.shape[-2:]
+        found = []
+        for names in (LONGITUDE, LATITUDE):
+            paths = [p for folder in _folders(image.name) for p in self._in(folder)]
+            found.append(
+                next(
+                    (
+                        self._variables[p]
+                        for p in paths
+                        if p.rpartition("/")[2].lower() in names
+                        and self._variables[p].shape == (height, width)
+                        and self._variables[p].dtype.kind == "f"
+                    ),
+                    None,
+                )
+            )
+        lon, lat = found
+        if lon is None or lat is None:
+            return None
+        rows, cols = (np.unique(np.linspace(0, n - 1, NODES).astype(int)) for n in (height, width))
+        points = []
+        for row in rows.tolist():
+            east, north = (np.asarray(v.read((row, slice(None))), np.float64).ravel()[cols] for v in (lon, lat))
+            points += [(c, row, e, n, 0.0) for c, e, n in zip(cols.tolist(), east, north, strict=True)]
+        gcps = np.array(points, np.float64)
+        good: BoolArray = np.isfinite(gcps).all(axis=1) & (np.abs(gcps[:, 2]) <= 360) & (np.abs(gcps[:, 3]) <= 90)
+        return Geolocation(crs="EPSG:4326", gcps=gcps[good]) if good.sum() > 3 else None
+
+
+def _folders(name: str) -> list[str]:
+    """The group of a variable and those above it."""
+    found = [posixpath.dirname(name)]
+    while found[-1] not in ("/", ""):
+        found.append(posixpath.dirname(found[-1]))
+    return found
+
+
+def _even(values: FloatArray) -> float | None:
+    step = float(values[-1] - values[0]) / (len(values) - 1)
+    off = np.abs(values - (values[0] + step * np.arange(len(values))))
+    return step if step and float(off.max()) <= EVEN * abs(step) else None
+
+
+def _first(attributes: Mapping[str, Any], *names: str) -> float | None:
+    return next((n for name in names if (n := number_of(attributes.get(name))) is not None), None)
+
+
+def _or(value: float | None, other: float) -> float:
+    return other if value is None else value
+
+
+def number_of(value: Any) -> float | None:
+    """The one number that an attribute holds, else None."""
+    try:
+        found = np.asarray(value)
+        return float(found.ravel()[0]) if found.size == 1 and found.dtype.kind in "uif" else None
+    except (TypeError, ValueError):
+        return None
+
+
+def text_of(value: Any) -> str:
+    """The text that an attribute holds, else ""."""
+    if isinstance(value, np.ndarray) and value.size == 1:
+        value = value.ravel()[0]
+    if isinstance(value, bytes):
+        return value.decode("utf-8", "replace")
+    return value if isinstance(value, str) else ""
+
+
+def missing(path: Any, extra: str, library: str, what: str, error: ImportError) -> InputError:
+    """What to say where a library of an extra is not installed."""
+    message = f"{path}: is {what}, which needs {library}; install it with: pip install 'featreg[{extra}]'"
+    made = InputError(message)
+    made.__cause__ = error
+    return made

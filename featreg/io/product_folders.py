@@ -1,0 +1,254 @@
+"""Products that are folders or archives: Sentinel SAFE, RADARSAT-2, TerraSAR-X, ALOS; an archive with one image.
+
+The measurements of a SAFE are those that its manifest names, whether or not its annotation is there.
+"""
+
+from __future__ import annotations
+
+import os
+import posixpath
+import re
+import zipfile
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Protocol
+from xml.etree import ElementTree
+
+from featreg.errors import InputError
+from featreg.io.gdal_drivers import DRIVERS, driver_by_content
+from featreg.io.gdal_errors import decoding
+from featreg.io.gdal_reader import GdalReader
+from featreg.io.reader import Band, Raster, Reader
+from featreg.io.window import Window
+from featreg.types import Geolocation
+
+MANIFEST = "manifest.safe"
+LARGEST_MANIFEST, MOST_MEMBERS, MOST_MEASUREMENTS = 32 << 20, 100_000, 400
+MEASURED = re.compile(r"\.(tiff?|jp2)$", re.IGNORECASE)
+IMAGES = tuple(suffix for driver in DRIVERS for suffix in driver.suffixes if suffix != ".xml")
+#: Names of the files that stand for a product: pattern and GDAL's driver.
+LEADING = (
+    (re.compile(r"product\.xml", re.IGNORECASE), "RS2"),
+    (re.compile(r"T[SD]X1_SAR__.+\.xml", re.IGNORECASE), "TSX"),
+    (re.compile(r"VOL-ALPSR.+"), "JAXAPALSAR"),
+    (re.compile(r"VOL-ALOS2?.+"), "JAXAPALSAR"),
+)
+#: What a measurement of Sentinel-1 is, in its name: swath, product, polarisation.
+SENTINEL_1 = re.compile(r"s1.-(\w+?)-(\w+?)-(\w\w)-.*?(?:-(\d{3}))?\.tiff?$", re.IGNORECASE)
+#: Band and resolution of Sentinel-2.
+SENTINEL_2 = re.compile(r"_((?:B\w\w|AOT|SCL|TCI|WVP)(?:_\d\dm)?)\.jp2$")
+
+
+class Tree(Protocol):
+    """Files below a folder, or in an archive."""
+
+    called: str
+
+    def names(self) -> Sequence[str]:
+        """Paths of all files, with "/" between their parts."""
+
+    def content(self, name: str, most: int) -> bytes:
+        """The bytes of a file, at most so many."""
+
+    def gdal_name(self, name: str) -> str:
+        """What GDAL is given for a file."""
+
+
+class FolderTree:
+    """The files of a folder, three levels deep."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.called = folder, str(folder)
+
+    def names(self) -> Sequence[str]:
+        found: list[str] = []
+        root = str(self.folder)
+        try:
+            for here, folders, files in os.walk(root):
+                inner = Path(here).relative_to(root)
+                if len(inner.parts) >= 3:
+                    folders.clear()
+                folders.sort()
+                found += [(inner / name).as_posix() for name in sorted(files)]
+                if len(found) > MOST_MEMBERS:
+                    break
+        except OSError as error:
+            raise InputError(f"{self.called}: the folder cannot be looked through ({error.strerror})") from error
+        return found
+
+    def content(self, name: str, most: int) -> bytes:
+        try:
+            with (self.folder / name).open("rb") as file:
+                return file.read(most)
+        except OSError as error:
+            raise InputError(f"{self.folder / name}: cannot be read ({error.strerror})") from error
+
+    def gdal_name(self, name: str) -> str:
+        path = (self.folder / name).resolve()
+        if not path.is_relative_to(self.folder.resolve()):
+            raise InputError(f"{self.called}: names '{name[:80]}' outside its folder, which is refused")
+        if not path.is_file():
+            raise InputError(f"{self.called}: names '{name[:80]}', which is not there; the product must be complete")
+        return str(path)
+
+
+class ZipTree:
+    """The members of a ZIP archive."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.called = path, str(path)
+        with decoding(path, "ZIP"), zipfile.ZipFile(path) as archive:
+            members = archive.infolist()
+            if len(members) > MOST_MEMBERS:
+                raise InputError(f"{path}: holds {len(members)} files; unpack it, and give the image")
+            self._names = [m.filename for m in members if not m.is_dir()]
+            if any(m.flag_bits & 1 for m in members):
+                raise InputError(f"{path}: is an archive with a password; unpack it, and give the image")
+
+    def names(self) -> Sequence[str]:
+        return self._names
+
+    def content(self, name: str, most: int) -> bytes:
+        with decoding(self.path, "ZIP"), zipfile.ZipFile(self.path) as archive, archive.open(name) as file:
+            return file.read(most)
+
+    def gdal_name(self, name: str) -> str:
+        if name not in self._names:
+            raise InputError(f"{self.called}: holds no '{name[:80]}'; the product must be complete")
+        # Braces keep GDAL from looking for the end of the archive's name itself.
+        return f"/vsizip/{{{self.path.absolute()}}}/{name}"
+
+
+def open_product(tree: Tree) -> Reader | None:
+    """Open the product in a folder or an archive; None where there is none.
+
+    Raises
+    ------
+    InputError
+        The product is not complete, or several lie there.
+    """
+    names = tree.names()
+    manifests = [n for n in names if posixpath.basename(n).lower() == MANIFEST]
+    if len(manifests) > 1:
+        raise InputError(
+            f"{tree.called}: holds {len(manifests)} SAFE products, one is needed: {', '.join(manifests[:6])}"
+        )
+    if manifests:
+        return open_safe(tree, manifests[0])
+    for pattern, driver in LEADING:
+        found = [n for n in names if pattern.fullmatch(posixpath.basename(n))]
+        if len(found) == 1:
+            return GdalReader(tree.gdal_name(found[0]), [driver], tree.called)
+    return None
+
+
+def open_member(tree: Tree, name: str | None) -> Reader:
+    """Open one image of an archive: the one that is named, or the only one.
+
+    Raises
+    ------
+    InputError
+        There is none or there are several, or it is not of a format that is read inside archives.
+    """
+    names = tree.names()
+    if name is None:
+        images = [n for n in names if n.lower().endswith(IMAGES)]
+        if len(images) != 1:
+            held = ", ".join((images or list(names))[:8]) or "nothing"
+            what = f"{len(images)} images, name one as {tree.called}:NAME" if images else "no image that is known"
+            raise InputError(f"{tree.called}: holds {what}; in it: {held}")
+        name = images[0]
+    place = tree.gdal_name(name)
+    driver = driver_by_content(tree.content(name, 1024))
+    if driver is not None:
+        return GdalReader(place, [driver.name], f"{tree.called}:{name}")
+    beside = ("ENVI", "ISCE", "ROI_PAC", "EHdr")
+    return GdalReader(place, beside, f"{tree.called}:{name}")
+
+
+def open_safe(tree: Tree, manifest: str) -> Reader:
+    """Open the measurements that a manifest.safe names.
+
+    Raises
+    ------
+    InputError
+        The manifest cannot be read, names no measurement, or one that is not there.
+    """
+    content = tree.content(manifest, LARGEST_MANIFEST + 1)
+    where = f"{tree.called}: its {MANIFEST}"
+    if len(content) > LARGEST_MANIFEST or b"<!DOCTYPE" in content or b"<!ENTITY" in content:
+        raise InputError(f"{where} is too large or has a DOCTYPE, which is refused")
+    try:
+        root = ElementTree.fromstring(content)
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        raise InputError(f"{where} is broken or cut short ({error}); a complete product is needed") from error
+    home = posixpath.dirname(manifest)
+    hrefs = [e.get("href", "") for e in root.iter() if e.tag.rpartition("}")[2] == "fileLocation"]
+    files = [posixpath.normpath(posixpath.join(home, h)) for h in hrefs if MEASURED.search(h) and _measures(h)]
+    if any(f.startswith(("..", "/")) for f in files):
+        raise InputError(f"{where} names files outside the product, which is refused")
+    files = list(dict.fromkeys(files))[:MOST_MEASUREMENTS]
+    if not files:
+        raise InputError(f"{where} names no measurement; products of Sentinel-1 and Sentinel-2 are read")
+    opened: list[tuple[str, GdalReader]] = []
+    try:
+        for file in files:
+            driver = "JP2OpenJPEG" if file.lower().endswith(".jp2") else "GTiff"
+            opened.append(
+                (measurement_name(file), GdalReader(tree.gdal_name(file), [driver], f"{tree.called}: {file}"))
+            )
+    except BaseException:
+        for _, reader in opened:
+            reader.close()
+        raise
+    return JoinedReader("SAFE", opened)
+
+
+def _measures(href: str) -> bool:
+    folders = href.replace("\\", "/").split("/")[:-1]
+    return "measurement" in folders or "IMG_DATA" in folders
+
+
+def measurement_name(file: str) -> str:
+    """What a measurement is asked for by: "VV", "IW1 VV" of a single-look complex product, "B04" of Sentinel-2."""
+    name = posixpath.basename(file)
+    found = SENTINEL_1.match(name)
+    if found is not None:
+        swath, product, polarisation, number = found.groups()
+        words = [swath.upper()] if product.lower() in ("slc", "ocn") else []
+        more = [number] if number and swath.lower().startswith("wv") else []
+        return " ".join([*words, polarisation.upper(), *more])
+    found = SENTINEL_2.search(name)
+    return found[1].replace("_", " ") if found is not None else posixpath.splitext(name)[0]
+
+
+class JoinedReader:
+    """The bands of several files as one; they may differ in size and place."""
+
+    whole = False
+
+    def __init__(self, driver: str, parts: Sequence[tuple[str, Reader]]) -> None:
+        self.driver = driver
+        self._close: list[Callable[[], None]] = [reader.close for _, reader in parts]
+        self._of: list[tuple[Reader, int]] = []
+        bands: list[Band] = []
+        for name, reader in parts:
+            for k, band in enumerate(reader.bands):
+                more = f" {band.role or k + 1}" if len(reader.bands) > 1 else ""
+                bands.append(replace(band, name=f"{name}{more}"))
+                self._of.append((reader, k))
+        self.bands: Sequence[Band] = bands
+        self.files: Sequence[str] = [file for _, reader in parts for file in reader.files]
+
+    def geolocation(self, band: int) -> Geolocation | None:
+        reader, own = self._of[band]
+        return reader.geolocation(own)
+
+    def read(self, band: int, window: Window | None = None) -> Raster:
+        reader, own = self._of[band]
+        return reader.read(own, window)
+
+    def close(self) -> None:
+        for close in self._close:
+            close()

@@ -1,0 +1,111 @@
+"""Whether a virtual raster of GDAL may be opened: it can run code and name any file or address."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+from featreg.errors import InputError
+from featreg.io.gdal_drivers import TOLD_BY_GDAL, driver_by_content
+from featreg.io.gdal_reader import GdalReader
+
+#: Bytes of the largest description, files it may name, virtual rasters that may rest on each other.
+LARGEST, MOST_FILES, DEEPEST = 16 << 20, 20_000, 4
+SOURCES = ("SimpleSource", "ComplexSource", "AveragedSource", "KernelFilteredSource")
+BANDS = (None, "VRTSourcedRasterBand", "VRTDerivedRasterBand", "VRTRawRasterBand")
+
+
+def is_vrt(head: bytes) -> bool:
+    """Whether a file begins as a virtual raster does."""
+    return b"<VRTDataset" in head or b"<VRTTiledDataset" in head
+
+
+def check_vrt(path: Path, depth: int = 0, folder: Path | None = None) -> None:
+    """Raise where a virtual raster is more than bands put together from images in its own folder or below.
+
+    Raises
+    ------
+    InputError
+        It runs code, warps, names an address or a file elsewhere, names a file that is no image, or cannot be read.
+    """
+    home = path.parent.resolve() if folder is None else folder
+    if depth > DEEPEST:
+        raise InputError(f"{path}: virtual rasters rest on each other more than {DEEPEST} deep; make one image of them")
+    root = _parsed(path)
+    kind = root.get("subClass")
+    if root.tag != "VRTDataset" or kind is not None:
+        raise InputError(
+            f"{path}: is a virtual raster of the kind {kind or root.tag}, which is not opened; {_cure(path)}"
+        )
+    names: set[tuple[str, bool]] = set()
+    for element in root.iter():
+        if element.tag in ("PixelFunctionCode", "PixelFunctionLanguage", "PixelFunctionArguments"):
+            language = (element.text or "").strip().lower()
+            if element.tag != "PixelFunctionArguments" and language not in ("c", ""):
+                raise InputError(
+                    f"{path}: is a virtual raster that runs code ({element.tag}), which is refused; {_cure(path)}"
+                )
+        elif element.tag in ("VRTRasterBand", "MaskBand") and element.get("subClass") not in BANDS:
+            raise InputError(
+                f"{path}: has a band of the kind {element.get('subClass')}, which is refused; {_cure(path)}"
+            )
+        elif element.tag.endswith("Source") and element.tag not in SOURCES:
+            raise InputError(f"{path}: has a source of the kind {element.tag}, which is refused; {_cure(path)}")
+        elif element.tag in ("SourceFilename", "SourceDataset"):
+            names.add(((element.text or "").strip(), element.get("relativeToVRT", element.get("relativetoVRT")) == "1"))
+        elif element.tag in ("OpenOptions", "GeoLocTransformer", "Metadata") and _names_files(element):
+            raise InputError(f"{path}: names files in its {element.tag}, which is refused; {_cure(path)}")
+    if len(names) > MOST_FILES:
+        raise InputError(f"{path}: names {len(names)} files, at most {MOST_FILES} are opened; {_cure(path)}")
+    for name, relative in sorted(names):
+        _check_source(path, home, name, relative, depth)
+
+
+def _parsed(path: Path) -> ElementTree.Element:
+    try:
+        if path.stat().st_size > LARGEST:
+            raise InputError(f"{path}: is a virtual raster of more than {LARGEST >> 20} MB; {_cure(path)}")
+        content = path.read_bytes()
+        # Entities could name other files, or grow without end.
+        if b"<!DOCTYPE" in content or b"<!ENTITY" in content:
+            raise InputError(f"{path}: is a virtual raster with a DOCTYPE, which is refused; {_cure(path)}")
+        return ElementTree.fromstring(content)
+    except (OSError, ElementTree.ParseError, ValueError, LookupError, RecursionError) as error:
+        raise InputError(f"{path}: the VRT file is broken or cut short ({error}); a complete file is needed") from error
+
+
+def _names_files(element: ElementTree.Element) -> bool:
+    """Whether options or metadata name a file: those of a warp's grid, of a height model, of subdatasets."""
+    said = [*(child.get("key", "") for child in element), element.get("domain", "")]
+    return any(key.upper() in ("X_DATASET", "Y_DATASET", "GEOLOCATION", "RPC_DEM", "SUBDATASETS") for key in said)
+
+
+def _check_source(path: Path, home: Path, name: str, relative: bool, depth: int) -> None:
+    source = Path(name) if not relative and Path(name).is_absolute() else path.parent / name
+    try:
+        inside = bool(name) and source.resolve().is_relative_to(home) and not name.startswith(("/vsi", "<"))
+        there = inside and source.is_file()
+        head = source.read_bytes()[:512] if there and source.stat().st_size < 512 else _head(source) if there else b""
+    except (OSError, ValueError, RuntimeError) as error:
+        raise InputError(f"{path}: names a file that cannot be looked at ({error})") from error
+    if not inside:
+        raise InputError(f"{path}: reaches outside its folder ('{name[:80]}'), which is refused; {_cure(path)}")
+    if not there:
+        raise InputError(
+            f"{path}: names '{name[:80]}', which is not there; put it into the folder of the virtual raster"
+        )
+    if is_vrt(head):
+        check_vrt(source, depth + 1, home)
+        return
+    driver = driver_by_content(head)
+    # GDAL opens a source with whatever driver likes it, also those that read from the network.
+    GdalReader(str(source.absolute()), [driver.name] if driver else TOLD_BY_GDAL, f"{path}: its source {name}").close()
+
+
+def _head(source: Path) -> bytes:
+    with source.open("rb") as file:
+        return file.read(512)
+
+
+def _cure(path: Path) -> str:
+    return f"make an image of it: gdal_translate {path.name} {path.stem}.tif"
