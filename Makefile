@@ -1,4 +1,4 @@
-# make demo   make test   make test-fast   make bench   make table2   make table3   make clean
+# make demo   make test   make test-fast   make bench   make kernels   make table2   make table3   make clean
 #
 # Needs only a Python 3.11 to 3.13 with venv (PYTHON=python3.12 make ... for another one) and the package index. Each
 # target makes .venv when it is missing and installs again when pyproject.toml changed.
@@ -10,7 +10,7 @@ WORKERS ?= 2
 EXTRAS ?= dev
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: demo test test-fast lint bench table2 table3 clean
+.PHONY: demo test test-fast lint bench kernels table2 table3 clean
 .DELETE_ON_ERROR:
 
 demo: $(VENV)/.installed
@@ -32,6 +32,9 @@ bench: $(VENV)/.installed
 	$(BIN)/python benchmarks/pieces.py
 	$(BIN)/python benchmarks/pairs.py
 	$(BIN)/python benchmarks/import_time.py
+
+kernels: $(VENV)/.installed-dev
+	$(BIN)/python -c "from featreg.warming import precompile; [print(*missing, sep=': ') for missing in precompile().items()]"
 
 table2 table3: $(VENV)/.installed
 	$(BIN)/python benchmarks/tables.py $@

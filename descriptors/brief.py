@@ -78,7 +78,8 @@ class Brief(Descriptor):
             used, turn = np.unique(turns[rows], return_inverse=True)
             out = np.empty((len(rows), words.shape[1]), np.uint64)
             xs, ys = np.ascontiguousarray(at.T)
-            binary_kernels.compare_pairs(despeckled_bytes(level, self.sigma), xs, ys, table[used], turn, out)
+            view = despeckled_bytes(level, self.sigma)
+            binary_kernels.compare_pairs(view.ravel(), view.shape[1], xs, ys, table[used], turn, out)
             words[rows] = out
             kept[rows] = True
         index = np.flatnonzero(kept)

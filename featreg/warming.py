@@ -11,6 +11,9 @@ from typing import Any
 from featreg.errors import FeatregError
 from featreg.presets import PRESETS
 from featreg.registry import entries, entry
+from featreg.runtime import precompiled
+from featreg.runtime.files import write_atomic
+from featreg.runtime.jit import Kernel
 
 #: Small, yet with a scene in it that every method finds points on.
 SHAPE = (200, 200)
@@ -76,21 +79,76 @@ def _methods() -> Iterator[dict[str, Any]]:
                 yield {"filters": [other.name]} if kind == "filter" else {kind: other.name}
 
 
+def precompile() -> dict[str, str]:
+    """Translate the kernels for the arguments that `warm_up` gives them, into the files beside their modules.
+
+    For those who change a kernel: what is prepared of a source that changed is not used any more.
+
+    Returns
+    -------
+    kernel and kinds of its arguments -> why it could not be translated; numba compiles these when they are called
+    """
+    from featreg.runtime import jit, precompiling
+
+    jit.calls = {}
+    try:
+        warm_up()
+    finally:
+        recorded, jit.calls = jit.calls, None
+    missing: dict[str, str] = {}
+    for module in _kernel_modules():
+        entries: dict[tuple[str, str], list[precompiled.Prepared]] = {}
+        for name, kernel in _kernels(module).items():
+            for key in sorted(recorded.get((module.__name__, name), ())):
+                told = f"{module.__name__}.{name}({', '.join(key)})"
+                if not key:
+                    missing[told] = "arguments that are neither arrays nor numbers"
+                    continue
+                try:
+                    made = precompiling.translated(kernel.function, kernel.dispatcher, key)
+                except ValueError as error:
+                    missing[told] = str(error)
+                    continue
+                entries.setdefault((name, precompiled.source_digest(kernel)), []).append(made)
+        content = precompiled.written(entries, precompiling.llvm_version(), precompiling.triple())
+        write_atomic(precompiled.file_of(Path(str(module.__file__))), content)
+    return missing
+
+
+def stale_kernels() -> list[str]:
+    """The modules of kernels whose prepared code is of another source; `precompile` makes it anew."""
+    stale = []
+    for module in _kernel_modules():
+        kernels = _kernels(module).values()
+        listed = {entry["kernel"] for entry in precompiled.listed(Path(str(module.__file__)))}
+        if any(kernel.function.__name__ in listed and not precompiled.current(kernel) for kernel in kernels):
+            stale.append(module.__name__)
+    return stale
+
+
+def _kernels(module: ModuleType) -> dict[str, Kernel]:
+    """Name -> the kernels that a module defines."""
+    return {
+        name: value
+        for name, value in vars(module).items()
+        if isinstance(value, Kernel) and value.__module__ == module.__name__
+    }
+
+
 def kernels_cached() -> Mapping[str, bool]:
-    """Return module of kernels -> whether compiled code of it lies on disk.
+    """Return module of kernels -> whether its code is prepared, or was compiled before and lies on disk.
 
     Notes
     -----
-    One compiled function stands for its module. Argument types that were never used, and a source that changed since,
-    compile when they are first used.
+    One function stands for its module. Argument types that were never used, and a source that changed since, compile
+    when they are first used.
     """
     return {module.__name__: _cached(module) for module in _kernel_modules()}
 
 
 def ready() -> bool:
     """Whether the default method, the demonstration and `warp` run without compiling."""
-    cached = kernels_cached()
-    return all(cached.get(name, False) for name in DEFAULT)
+    return all(_cached(importlib.import_module(name)) for name in DEFAULT)
 
 
 def _kernel_modules() -> list[ModuleType]:
@@ -108,15 +166,20 @@ def _kernel_modules() -> list[ModuleType]:
 
 def cache_folders() -> set[Path]:
     """The folders in which compiled kernels are kept."""
-    return set().union(*(_folders(module) for module in _kernel_modules()))
+    kept = precompiled.folder()
+    return set().union(*(_folders(module) for module in _kernel_modules()), () if kept is None else (kept,))
 
 
 def _folders(module: ModuleType) -> set[Path]:
-    kept = (value.stats.cache_path for value in vars(module).values() if hasattr(value, "stats"))
+    """Where numba keeps what is not prepared."""
+    left = [kernel for kernel in _kernels(module).values() if not precompiled.current(kernel)]
+    kept = (kernel.dispatcher.stats.cache_path for kernel in left if kernel.inline == "never")
     # Without a folder that can be written, code has no place.
     return {Path(folder) for folder in kept if folder is not None}
 
 
 def _cached(module: ModuleType) -> bool:
     short = module.__name__.rpartition(".")[2]
+    if any(precompiled.current(kernel) for kernel in _kernels(module).values()):
+        return True
     return any(any(folder.glob(f"{short}.*.nbi")) for folder in _folders(module))

@@ -86,8 +86,10 @@ def whitened(
             for j in range(n):
                 trace += outer[i, j] * a[i, j]
         traces[k] = trace
-        white[:] = both
         total = 0.0
+        for i in range(n):
+            for q in range(width):
+                white[i, q] = both[i, q]
         # Cholesky's factor by columns, each at once taken out of what is right of it and of the rows to be whitened.
         for j in range(n):
             if not a[j, j] > 0.0:

@@ -135,7 +135,8 @@ def reprojection_minimum(
         if not new < cost:
             return True
         gain, cost = cost - new, new
-        h[:] = trial
+        for j in range(8):
+            h[j] = trial[j]
         if gain < GAIN * cost:
             return True
     return True
@@ -216,7 +217,8 @@ def reweighted(
         v[i] /= size
     mean = total / used
     p, squares, some = np.zeros(9), np.empty(m), np.empty(m)
-    final[:] = prior
+    for i in range(m):
+        final[i] = prior[i]
     for _ in range(iterations):
         if not weighted_fit(kind, x, y, u, v, final, p):
             return 0

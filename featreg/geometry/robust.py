@@ -185,7 +185,9 @@ def _search(
     apart = np.array([min(2.0 * threshold, 0.1 * _narrow(flat[:2])), min(2.0 * threshold, 0.1 * _narrow(flat[2:]))])
     best = np.zeros(9)
     samples = rows[draw_samples(rng, len(rows), size, iterations)]
-    cost, looked = search(kind, flat, samples, rows, threshold, apart, confidence, best)
+    found = np.empty(2, np.int64)
+    search(kind, flat, samples, rows, threshold, apart, confidence, best, found)
+    cost, looked = found.tolist()
     logger.debug("consensus: %d hypotheses, cost %.1f of %d", looked, cost / OUTLIER, len(reference))
     if not best.any():
         return None

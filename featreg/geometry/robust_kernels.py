@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from featreg.runtime.jit import compiled
 from featreg.types import FloatArray, IntArray
@@ -155,6 +154,13 @@ def homography_of_four(x: FloatArray, y: FloatArray, u: FloatArray, v: FloatArra
 
 
 @compiled
+def copy_model(model: FloatArray, out: FloatArray) -> None:
+    """Write the nine elements of a model; a slice would bring along the words for a shape that does not fit."""
+    for i in range(9):
+        out[i] = model[i]
+
+
+@compiled
 def well_placed(x: FloatArray, y: FloatArray, count: int, apart: float) -> bool:
     """Whether `count` points are `apart` from each other and every three of them at least as far from one line."""
     for i in range(count):
@@ -181,8 +187,9 @@ def search(
     apart: FloatArray,
     confidence: float,
     best: FloatArray,
-) -> NDArray[np.int64]:
-    """Write the model of lowest truncated cost into `best` and return (its cost, hypotheses looked at).
+    found: IntArray,
+) -> None:
+    """Write the model of lowest truncated cost into `best`.
 
     Parameters
     ----------
@@ -193,7 +200,8 @@ def search(
     threshold : largest residual of an inlier, px
     apart : (2,) smallest distances within a sample, in the reference and in the secondary, px
     confidence : probability with which a sample of inliers only has been seen when the search stops
-    best : (9,) the model; left alone where the cost returned is that of no inlier, OUTLIER * M
+    best : (9,) the model; left alone where its cost is that of no inlier, OUTLIER * M
+    found : (2,) filled with the cost and the number of hypotheses looked at
     """
     x, y, u, v = points[0], points[1], points[2], points[3]
     m = samples.shape[1]
@@ -225,7 +233,7 @@ def search(
         if cost >= lowest:
             continue
         lowest = cost
-        best[:] = trial
+        copy_model(trial, best)
         mark_inliers(best, x, y, u, v, per_t2, inlier)
         if kind < 4:
             for _ in range(4):
@@ -235,7 +243,7 @@ def search(
                 if cost >= lowest:
                     break
                 lowest = cost
-                best[:] = polished
+                copy_model(polished, best)
                 mark_inliers(best, x, y, u, v, per_t2, inlier)
         agreeing = 0.0
         for i in range(candidates.shape[0]):
@@ -245,4 +253,4 @@ def search(
             break
         if clean > 0.0:
             enough = math.log(1.0 - confidence) / math.log1p(-clean)
-    return np.array([lowest, looked], np.int64)
+    found[0], found[1] = lowest, looked

@@ -1,6 +1,8 @@
-"""How this package compiles its hot loops: one decorator over `numba.njit`, cached on disk, without the GIL.
+"""How this package compiles its hot loops: one decorator, machine code that was prepared or that numba makes, no GIL.
 
-Modules of kernels import this one, so numba (about half a second) is imported only when a kernel is first needed.
+A kernel is first sought among those that lie beside its module, translated by numba when the package was built
+(`featreg.runtime.precompiled`): neither numba nor its half second of import is needed then. What was not foreseen
+there, and every source that changed since, numba compiles when it is first called and caches on disk.
 No fastmath where results are summed: sums keep their order, and equal input gives equal bits.
 """
 
@@ -10,34 +12,111 @@ import contextlib
 import logging
 import multiprocessing
 import os
+import sys
+import threading
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, update_wrapper
+from pathlib import Path
+from types import FunctionType
 from typing import Any, TypeVar, cast
 
-import numba
+from featreg.runtime.precompiled import MISS, Bound, key_of, prepared
 
 logger = logging.getLogger(__name__)
 F = TypeVar("F", bound=Callable[..., Any])
 
+_lock = threading.RLock()
+#: (module, kernel) -> the kinds of arguments that it was called with, where these are being recorded; else None.
+calls: dict[tuple[str, str], set[tuple[str, ...]]] | None = None
+
 
 def compiled(function: F) -> F:
     """Compile `function` for the argument types of each call; cached on disk, releases the GIL."""
-    return _jit(function, "never")
+    return cast(F, Kernel(function, "never"))
 
 
 def inlined(function: F) -> F:
     """Compile a small helper into the kernels that call it."""
-    return _jit(function, "always")
+    return cast(F, Kernel(function, "always"))
 
 
-def _jit(function: F, inline: str) -> F:
+class Kernel:
+    """A function of arrays and numbers that runs as machine code.
+
+    Parameters
+    ----------
+    function : what to compile
+    inline : "always" or "never", as numba has it
+    """
+
+    def __init__(self, function: Callable[..., Any], inline: str) -> None:
+        self.function, self.inline = function, inline
+        self._bound: tuple[Bound, ...] = ()
+        self._dispatcher: Any = None
+        update_wrapper(self, function)
+
+    def __call__(self, *values: Any) -> Any:
+        if calls is not None:
+            calls.setdefault((self.__module__, self.function.__name__), set()).add(key_of(values) or ())
+        for bound in self._bound:
+            result = bound(values)
+            if result is not MISS:
+                return result
+        return self._first(values)
+
+    def _first(self, values: tuple[Any, ...]) -> Any:
+        """The first call with arguments of these kinds."""
+        with _lock:
+            found = None
+            if not any(bound.fits(values) for bound in self._bound):
+                found = prepared(self, key_of(values))
+                if found is not None:
+                    self._bound = (*self._bound, found)
+        return self.dispatcher(*values) if found is None else found(values)
+
+    @property
+    def path(self) -> Path:
+        """The file of its source."""
+        return Path(self.function.__code__.co_filename)
+
+    @property
+    def used(self) -> dict[str, Kernel]:
+        """Name -> the kernels that it calls."""
+        scope = self.function.__globals__
+        named = {name: scope.get(name) for name in self.function.__code__.co_names}
+        return {name: value for name, value in named.items() if isinstance(value, Kernel)}
+
+    @property
+    def dispatcher(self) -> Any:
+        """The function as numba compiles it; imports numba when it is first asked for."""
+        with _lock:
+            if self._dispatcher is None:
+                # numba knows its own functions only: the copy sees them where the module has kernels.
+                scope = self.function.__globals__ | {
+                    name: kernel.dispatcher for name, kernel in self.used.items() if kernel is not self
+                }
+                function = cast(FunctionType, self.function)
+                copy = FunctionType(function.__code__, scope, function.__name__, function.__defaults__)
+                copy.__qualname__, copy.__doc__ = function.__qualname__, function.__doc__
+                self._dispatcher = _jit(copy, self.inline)
+        return self._dispatcher
+
+
+def _jit(function: Callable[..., Any], inline: str) -> Any:
+    import numba
+
     options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "inline": inline}
     if _may_have_folder():
         # RuntimeError: no folder of this installation or of the user can be written.
         with contextlib.suppress(RuntimeError):
-            return cast(F, numba.njit(cache=True, **options)(function))
+            return numba.njit(cache=True, **options)(function)
     _say_once()
-    return cast(F, numba.njit(**options)(function))
+    return numba.njit(**options)(function)
+
+
+def numba_loaded() -> bool:
+    """Whether anything has imported numba so far."""
+    return "numba" in sys.modules
 
 
 @lru_cache(maxsize=1)

@@ -276,7 +276,9 @@ def test_search_equals_the_plain_one() -> None:
     rows = np.arange(300)
     best = np.zeros(9)
     flat = np.ascontiguousarray(np.concatenate([reference.T, secondary.T]))
-    cost, looked = search(3, flat, samples, rows, 3.0, np.zeros(2), 0.999, best)
+    counted = np.empty(2, np.int64)
+    search(3, flat, samples, rows, 3.0, np.zeros(2), 0.999, best, counted)
+    cost, looked = counted.tolist()
 
     def judged(model: Affine) -> tuple[float, BoolArray]:
         ratio = (model.residuals(reference, secondary) / 3.0) ** 2

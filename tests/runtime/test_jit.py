@@ -20,7 +20,7 @@ def unwritable(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("", "detectors", "descriptors", "matchers"):
         source = ROOT / (name or "featreg")
         shutil.copytree(
-            source, root / "featreg" / name, ignore=shutil.ignore_patterns("__pycache__"), dirs_exist_ok=True
+            source, root / "featreg" / name, ignore=shutil.ignore_patterns("__pycache__", "*.bc"), dirs_exist_ok=True
         )
     for folder in {path.parent for path in root.rglob("*.py")}:
         (folder / "__pycache__").touch()

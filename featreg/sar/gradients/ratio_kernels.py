@@ -92,8 +92,8 @@ def sums_from_above(image: F32, offset: np.float32, decay: np.float32, up: F32) 
         for k in range(count):
             y = start + k
             if y == 0:
-                up[0, 0] = left[0]
-                up[1, 0] = right[0]
+                for x in range(width):
+                    up[0, 0, x], up[1, 0, x] = left[0, x], right[0, x]
             else:
                 _advance(left[k], decay, up[0, y - 1], up[0, y])
                 _advance(right[k], decay, up[1, y - 1], up[1, y])

@@ -12,14 +12,14 @@ I64 = NDArray[np.int64]
 
 
 @compiled
-def compare_pairs(image: NDArray[np.uint8], xs: I64, ys: I64, table: NDArray[np.int8], turns: I64, bits: U64) -> None:
+def compare_pairs(
+    flat: NDArray[np.uint8], width: int, xs: I64, ys: I64, table: NDArray[np.int8], turns: I64, bits: U64
+) -> None:
     """Set bit b of point i where the first sample of pair b is darker than the second.
 
-    `table` (T, B, 4) holds the (x1, y1, x2, y2) offsets of the pairs for each turn, `turns` (N,) the turn of each
-    point; samples must lie inside the image.
+    `flat` (H * W,) is the image row by row, `table` (T, B, 4) holds the (x1, y1, x2, y2) offsets of the pairs for each
+    turn, `turns` (N,) the turn of each point; samples must lie inside the image.
     """
-    width = image.shape[1]
-    flat = image.ravel()
     count = table.shape[1]
     first = np.zeros((table.shape[0], count), np.int64)
     second = np.zeros((table.shape[0], count), np.int64)

@@ -54,7 +54,7 @@ def pool(
     being centred on the point's own direction.
     """
     samples = pattern.shape[1]
-    bins, pieces = out.shape[1], out.shape[2]
+    bins = out.shape[1]
     at = np.empty(samples, np.int32)
     strength, place = np.empty(samples, np.float32), np.empty(samples, np.float32)
     per_radian = np.float32(bins / (2 * np.pi))
@@ -65,13 +65,13 @@ def pool(
         _gather(magnitude, at, strength)
         _gather(direction, at, place)
         _split(place, np.float32(turn), per_radian, np.float32(bins))
-        row = out[i].reshape(bins * pieces)
+        row = out[i]
         for k in range(samples):
             first = int(place[k])
             upper = (place[k] - np.float32(first)) * strength[k]
             second = first + 1 if first + 1 < bins else 0
-            row[np.uint64(first * pieces + piece[k])] += strength[k] - upper
-            row[np.uint64(second * pieces + piece[k])] += upper
+            row[np.uint64(first), np.uint64(piece[k])] += strength[k] - upper
+            row[np.uint64(second), np.uint64(piece[k])] += upper
 
 
 @compiled

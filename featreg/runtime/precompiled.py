@@ -1,0 +1,341 @@
+"""Kernels that were translated to LLVM's code when the package was built, made into machine code of this processor.
+
+Beside a module of kernels lies a file of the same name that ends in `.bc`. It holds, for each kernel and each kind of
+arguments that the methods use, what numba makes of it before anything depends on the processor. The first call
+optimises it for the processor at hand (a tenth of a second or less) and keeps the object on disk; later starts load
+that. The steps are numba's own, and so are the bits of the results.
+
+Where a file is missing, was made for another system, another LLVM or from another source, there is nothing prepared,
+and numba compiles as ever. `FEATREG_KERNELS=numba` asks for that.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import json
+import logging
+import os
+import sys
+import tempfile
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from featreg.errors import InputError
+from featreg.runtime.files import write_atomic
+
+logger = logging.getLogger(__name__)
+
+#: Of a call whose arguments are of another kind.
+MISS = object()
+#: Kinds of numbers: the types that pass as one, and what they become.
+NUMBERS: dict[str, tuple[tuple[type, ...], Callable[[Any], Any], Any]] = {
+    "int": ((int, np.int64), int, ctypes.c_int64),
+    "float": ((float, np.float64), float, ctypes.c_double),
+    "bool": ((bool, np.bool_), bool, ctypes.c_bool),
+    "float32": ((np.float32,), float, ctypes.c_float),
+}
+_KINDS = {kind: name for name, (kinds, _, _) in NUMBERS.items() for kind in kinds}
+#: Kinds of results: what holds them.
+RESULTS = {"int": ctypes.c_int64, "float": ctypes.c_double, "bool": ctypes.c_int64}
+
+
+class Source(Protocol):
+    """What is asked of a kernel."""
+
+    function: Callable[..., Any]
+
+    @property
+    def path(self) -> Path: ...
+
+    @property
+    def used(self) -> dict[str, Any]: ...
+
+
+def key_of(values: tuple[Any, ...]) -> tuple[str, ...] | None:
+    """The kinds of the arguments of a call; None where one is neither an array nor a plain number.
+
+    That of an array is its samples' and the number of its axes, with ":A" where it is not contiguous.
+    """
+    key = []
+    for value in values:
+        if type(value) is np.ndarray:
+            if not value.dtype.isnative:
+                return None
+            key.append(f"{value.dtype.str[1:]}:{value.ndim}{'' if value.flags.c_contiguous else ':A'}")
+        elif type(value) in _KINDS:
+            key.append(_KINDS[type(value)])
+        else:
+            return None
+    return tuple(key)
+
+
+class Bound:
+    """Machine code of one kernel for arguments of one kind.
+
+    Parameters
+    ----------
+    address : of the code
+    key : kinds of the arguments
+    result : kind of the result; "" for None
+    name : of the kernel, for errors
+    """
+
+    def __init__(self, address: int, key: tuple[str, ...], result: str, name: str) -> None:
+        self.name, self.count = name, len(key)
+        self.result: Any = RESULTS.get(result)
+        self.as_bool = result == "bool"
+        self.wanted: list[tuple[Any, int, Any]] = []
+        kinds: list[Any] = [ctypes.c_void_p]
+        for kind in key:
+            dtype, *layout = kind.split(":")
+            if layout:
+                self.wanted.append((np.dtype(dtype), int(layout[0]), None if len(layout) < 2 else False))
+                kinds.append(ctypes.py_object)
+            else:
+                types, convert, c_type = NUMBERS[kind]
+                self.wanted.append((types, -1, convert))
+                kinds.append(c_type)
+        # Called without the GIL; ctypes holds the arrays meanwhile.
+        self.call = ctypes.CFUNCTYPE(ctypes.c_int32, *kinds)(address)
+
+    def fits(self, values: tuple[Any, ...]) -> bool:
+        """Whether the arguments are of its kind."""
+        return self._given(values) is not None
+
+    def _given(self, values: tuple[Any, ...]) -> list[Any] | None:
+        if len(values) != self.count:
+            return None
+        given = []
+        for value, (kind, dimensions, convert) in zip(values, self.wanted, strict=True):
+            if convert:
+                if type(value) not in kind:
+                    return None
+                given.append(convert(value))
+            elif (
+                type(value) is np.ndarray
+                and value.dtype == kind
+                and value.ndim == dimensions
+                and (convert is False or value.flags.c_contiguous)
+            ):
+                given.append(value)
+            else:
+                return None
+        return given
+
+    def __call__(self, values: tuple[Any, ...]) -> Any:
+        given = self._given(values)
+        if given is None:
+            return MISS
+        if self.result is None:
+            status, out = self.call(None, *given), None
+        else:
+            held = self.result()
+            status, out = self.call(ctypes.addressof(held), *given), held.value
+        if status != 0:
+            raise RuntimeError(f"the compiled {self.name} failed with status {status}")
+        return bool(out) if self.as_bool else out
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """One kernel of a file: its kinds, the symbol of its code, and where the code lies."""
+
+    key: tuple[str, ...]
+    result: str
+    symbol: str
+    code: bytes
+
+
+def file_of(source: Path) -> Path:
+    """Where the prepared kernels of a module lie."""
+    return source.with_suffix(".bc")
+
+
+def source_digest(kernel: Source) -> str:
+    """Digest of the source of a kernel's module and of those from which it takes kernels."""
+    paths = {kernel.path}
+    left = [kernel]
+    while left:
+        for used in left.pop().used.values():
+            if used.path not in paths:
+                paths.add(used.path)
+            if used.path != kernel.path:
+                left.append(used)
+    digest = hashlib.sha256()
+    for path in sorted(paths, key=lambda path: path.name):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def written(entries: dict[tuple[str, str], list[Prepared]], llvm: list[int], triple: str) -> bytes:
+    """The content of a file: (kernel, digest of its source) -> what is prepared of it."""
+    body, listed = b"", []
+    for (name, digest), prepared in sorted(entries.items()):
+        for one in sorted(prepared, key=lambda one: one.key):
+            packed = zlib.compress(one.code, 9)
+            listed.append(
+                {
+                    "kernel": name,
+                    "source": digest,
+                    "key": one.key,
+                    "result": one.result,
+                    "symbol": one.symbol,
+                    "at": [len(body), len(packed)],
+                }
+            )
+            body += packed
+    header = json.dumps({"llvm": llvm, "triple": triple, "kernels": listed}, separators=(",", ":")).encode()
+    return header + b"\n" + body
+
+
+@cache
+def _content(path: Path) -> tuple[dict[str, Any], bytes] | None:
+    try:
+        header, _, body = path.read_bytes().partition(b"\n")
+        return json.loads(header), body
+    except (OSError, ValueError):
+        return None
+
+
+_digest: Any = cache(source_digest)
+
+
+def listed(source: Path) -> list[dict[str, Any]]:
+    """What lies prepared beside a module, of whichever source."""
+    found = _content(file_of(source))
+    return [] if found is None else list(found[0]["kernels"])
+
+
+def current(kernel: Source) -> list[dict[str, Any]]:
+    """What is prepared of a kernel, from its source as it is now."""
+    name = kernel.function.__name__
+    of_name = [entry for entry in listed(kernel.path) if entry["kernel"] == name]
+    return [entry for entry in of_name if entry["source"] == _digest(kernel)]
+
+
+def prepared(kernel: Source, key: tuple[str, ...] | None) -> Bound | None:
+    """The machine code of a kernel for arguments of these kinds; None where nothing is prepared for them here."""
+    found = _content(file_of(kernel.path))
+    if key is None or found is None or os.environ.get("FEATREG_KERNELS") == "numba":
+        return None
+    for entry in current(kernel):
+        if tuple(entry["key"]) == key:
+            start, size = entry["at"]
+            machine = _machine()
+            if machine is None or not machine.takes(found[0]["llvm"], found[0]["triple"]):
+                return None
+            address = machine.address(entry["symbol"], found[1][start : start + size])
+            return None if address is None else Bound(address, key, entry["result"], entry["kernel"])
+    return None
+
+
+class Machine:
+    """LLVM for the processor at hand."""
+
+    def __init__(self) -> None:
+        import llvmlite.binding as llvm
+
+        llvm.initialize_native_target()
+        llvm.initialize_native_asmprinter()
+        self.llvm = llvm
+        self.processor = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
+        module = llvm.parse_assembly("")
+        module.triple = llvm.get_process_triple()
+        self.engine = llvm.create_mcjit_compiler(module, self.target())
+
+    def target(self) -> Any:
+        """The processor, with the options that numba sets."""
+        target = self.llvm.Target.from_triple(self.llvm.get_process_triple())
+        processor, features = self.processor
+        return target.create_target_machine(
+            cpu=processor, features=features, opt=3, reloc="static", codemodel="jitdefault", jit=True
+        )
+
+    def takes(self, llvm: list[int], triple: str) -> bool:
+        """Whether code of this version of LLVM for this system can be used here."""
+        return tuple(llvm) <= tuple(self.llvm.llvm_version_info) and triple == self.llvm.get_process_triple()
+
+    def address(self, symbol: str, packed: bytes) -> int | None:
+        """Where the code of a symbol lies in memory; None where it cannot be made."""
+        version = ".".join(map(str, self.llvm.llvm_version_info))
+        told = "\n".join((version, *self.processor, symbol)).encode() + packed
+        name = f"{symbol[-24:]}-{hashlib.sha256(told).hexdigest()[:16]}.o"
+        kept = _kept(name)
+        if kept is None:
+            try:
+                kept = self.optimised(zlib.decompress(packed))
+            except (RuntimeError, zlib.error) as error:
+                logger.warning("the prepared code of %s cannot be used, numba compiles it: %s", symbol, error)
+                return None
+            _keep(name, kept)
+        self.engine.add_object_file(self.llvm.ObjectFileRef.from_data(kept))
+        self.engine.finalize_object()
+        return int(self.engine.get_function_address(symbol)) or None
+
+    def optimised(self, code: bytes) -> bytes:
+        """The object of LLVM's code: numba's own last passes."""
+        llvm, target = self.llvm, self.target()
+        module = llvm.parse_bitcode(code)
+        options = llvm.create_pipeline_tuning_options(speed_level=3)
+        options.loop_vectorization = options.slp_vectorization = True
+        builder = llvm.create_pass_builder(target, options)
+        builder.getModulePassManager().run(module, builder)
+        return bytes(target.emit_object(module))
+
+
+@cache
+def _machine() -> Machine | None:
+    # llvmlite comes with numba; what it cannot do here, numba may.
+    if sys.implementation.name != "cpython" or ctypes.sizeof(ctypes.c_void_p) != 8:
+        return None
+    try:
+        return Machine()
+    except (ImportError, RuntimeError, AttributeError) as error:
+        logger.info("no prepared kernels here: %s", error)
+        return None
+
+
+@cache
+def folder() -> Path | None:
+    """Where objects are kept: the first of numba's places that can be written; None where none can."""
+    named = os.environ.get("NUMBA_CACHE_DIR")
+    home = os.path.expanduser("~")
+    places = [Path(named)] if named else [Path(__file__).parent / "__pycache__"]
+    if not named:
+        caches = os.environ.get("XDG_CACHE_HOME") or (os.path.join(home, ".cache") if home != "~" else "")
+        places += [Path(caches) / "featreg"] if caches else []
+    for place in places:
+        try:
+            (place / "objects").mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=place / "objects"):
+                return place / "objects"
+        except OSError:
+            continue
+    return None
+
+
+def _kept(name: str) -> bytes | None:
+    place = folder()
+    try:
+        content = b"" if place is None else (place / name).read_bytes()
+    except OSError:
+        return None
+    # A disk that filled up may have left less.
+    digest, code = content[:32], content[32:]
+    return code if content and hashlib.sha256(code).digest() == digest else None
+
+
+def _keep(name: str, code: bytes) -> None:
+    place = folder()
+    if place is not None:
+        try:
+            write_atomic(place / name, hashlib.sha256(code).digest() + code, sync=False)
+        except InputError as error:
+            logger.info("compiled code is not kept: %s", error)

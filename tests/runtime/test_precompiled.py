@@ -1,0 +1,128 @@
+"""Kernels that were translated beforehand: the bits of numba's own, and numba where they do not serve."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from types import FunctionType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from featreg.runtime import jit, precompiled
+from featreg.sar.keypoints import binary_kernels, motion_kernels
+from featreg.warming import stale_kernels
+
+#: Kernels whose source was changed compile when they are called, until they are translated again.
+CHANGED = stale_kernels()
+LLVM = pytest.importorskip("llvmlite.binding")
+
+
+def in_place(module: Any) -> None:
+    if module.__name__ in CHANGED:
+        pytest.skip(f"{module.__name__} was changed: `make kernels` translates it again")
+
+
+def test_the_files_hold_every_kernel_that_the_default_method_calls() -> None:
+    for name in ("nearest_hamming", "compare_pairs"):
+        kernel: Any = getattr(binary_kernels, name)
+        listed = [entry for entry in precompiled.listed(kernel.path) if entry["kernel"] == name]
+        assert listed, f"{name} is not prepared: make kernels"
+        assert all(entry["key"] for entry in listed)
+
+
+def test_prepared_code_gives_the_bits_of_numba() -> None:
+    in_place(binary_kernels)
+    rng = np.random.default_rng(0)
+    words = rng.integers(0, 2**63, (300, 4), dtype=np.uint64), rng.integers(0, 2**63, (4, 250), dtype=np.uint64)
+    values, again = (
+        [*words, 128, np.full(300, 2**64 - 1, np.uint64), np.full(250, 2**64 - 1, np.uint64)] for _ in range(2)
+    )
+    kernel: Any = binary_kernels.nearest_hamming
+    bound = precompiled.prepared(kernel, precompiled.key_of(tuple(values)))
+    assert bound is not None
+    assert bound(tuple(values)) == kernel.dispatcher(*again)
+    for ours, numbas in zip(values[3:], again[3:], strict=True):
+        assert ours.tobytes() == numbas.tobytes()
+    nearest = np.array([[int(x ^ y).bit_count() for y in words[1][0]] for x in words[0][:5, 0]])
+    assert nearest.shape == (5, 250)
+    assert (values[3][:5] >> np.uint64(32) >= nearest.min(axis=1)).all()
+
+
+def test_arguments_of_another_kind_are_no_call_of_it() -> None:
+    in_place(motion_kernels)
+    kernel: Any = motion_kernels.mark_matches
+    entry = precompiled.current(kernel)[0]
+    bound = precompiled.prepared(kernel, tuple(entry["key"]))
+    assert bound is not None
+    assert bound((1,)) is precompiled.MISS
+    assert bound(tuple("wrong" for _ in entry["key"])) is precompiled.MISS
+    assert precompiled.prepared(kernel, ("f4:1",)) is None
+
+
+def test_kinds_of_arguments() -> None:
+    image = np.zeros((4, 6), np.float32)
+    values = (image, image[:, ::2], 3, np.int64(3), 2.0, True, np.float32(1), np.zeros(2, np.bool_))
+    kinds = ("f4:2", "f4:2:A", "int", "int", "float", "bool", "float32", "b1:1")
+    assert precompiled.key_of(values) == kinds
+    assert precompiled.key_of((image.astype(">f4"),)) is None
+    assert precompiled.key_of(((image, image),)) is None
+
+
+def changed(kernel: Any, path: Path) -> Any:
+    """The same kernel as of another file."""
+    code = kernel.function.__code__.replace(co_filename=str(path))
+    return jit.Kernel(FunctionType(code, kernel.function.__globals__, kernel.function.__name__), "never")
+
+
+def test_a_changed_source_and_a_damaged_file_are_left_to_numba(tmp_path: Path) -> None:
+    in_place(motion_kernels)
+    kernel: Any = motion_kernels.mark_matches
+    entry = precompiled.current(kernel)[0]
+    source, content = kernel.path.read_bytes(), precompiled.file_of(kernel.path).read_bytes()
+    for number, (text, kept, serves) in enumerate(
+        (
+            (source, content, True),
+            (source + b"#", content, False),
+            (source, b"", False),
+            (source, content.partition(b"\n")[0] + b"\n" + bytes(len(content)), False),
+            (source, content.replace(b'"llvm":[', b'"llvm":[9'), False),
+        )
+    ):
+        path = tmp_path / f"{number}_kernels.py"
+        path.write_bytes(text)
+        path.with_suffix(".bc").write_bytes(kept)
+        other = changed(kernel, path)
+        found = precompiled.prepared(other, tuple(entry["key"]))
+        assert (found is not None) is serves, number
+
+
+def test_an_object_that_was_cut_short_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    in_place(motion_kernels)
+    monkeypatch.setattr(precompiled, "folder", lambda: tmp_path)
+    machine = precompiled.Machine()
+    kernel: Any = motion_kernels.mark_matches
+    entry, body = precompiled.current(kernel)[0], precompiled.file_of(kernel.path).read_bytes().partition(b"\n")[2]
+    start, size = entry["at"]
+    packed = body[start : start + size]
+    assert machine.address(entry["symbol"], packed)
+    (kept,) = tmp_path.iterdir()
+    whole = kept.read_bytes()
+    kept.write_bytes(whole[: len(whole) // 2])
+    assert precompiled.Machine().address(entry["symbol"], packed)
+    assert kept.read_bytes() == whole
+
+
+def test_a_registration_needs_no_numba() -> None:
+    if CHANGED:
+        pytest.skip(f"changed: {', '.join(CHANGED)}; `make kernels` translates them again")
+    code = (
+        "import json, sys, featreg\nfrom featreg.simulate import sar_pair\np = sar_pair((300, 300), seed=1)\n"
+        "r = featreg.match(p.reference, p.secondary, seed=0)\n"
+        "print(json.dumps([r.status, 'numba' in sys.modules]))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert json.loads(done.stdout) == ["ok", False]
