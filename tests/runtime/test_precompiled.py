@@ -38,6 +38,8 @@ def test_prepared_code_gives_the_bits_of_numba() -> None:
     in_place(binary_kernels)
     rng = np.random.default_rng(0)
     words = rng.integers(0, 2**63, (300, 4), dtype=np.uint64), rng.integers(0, 2**63, (4, 250), dtype=np.uint64)
+    values: list[Any]
+    again: list[Any]
     values, again = (
         [*words, 128, np.full(300, 2**64 - 1, np.uint64), np.full(250, 2**64 - 1, np.uint64)] for _ in range(2)
     )
