@@ -38,20 +38,17 @@ def test_prepared_code_gives_the_bits_of_numba() -> None:
     in_place(binary_kernels)
     rng = np.random.default_rng(0)
     words = rng.integers(0, 2**63, (300, 4), dtype=np.uint64), rng.integers(0, 2**63, (4, 250), dtype=np.uint64)
-    values: list[Any]
-    again: list[Any]
-    values, again = (
-        [*words, 128, np.full(300, 2**64 - 1, np.uint64), np.full(250, 2**64 - 1, np.uint64)] for _ in range(2)
-    )
+    ours, numbas = ([np.full(n, 2**64 - 1, np.uint64) for n in (300, 250)] for _ in range(2))
+    values = (*words, 128, *ours)
     kernel: Any = binary_kernels.nearest_hamming
-    bound = precompiled.prepared(kernel, precompiled.key_of(tuple(values)))
+    bound = precompiled.prepared(kernel, precompiled.key_of(values))
     assert bound is not None
-    assert bound(tuple(values)) == kernel.dispatcher(*again)
-    for ours, numbas in zip(values[3:], again[3:], strict=True):
-        assert ours.tobytes() == numbas.tobytes()
+    assert bound(values) == kernel.dispatcher(*words, 128, *numbas)
+    for mine, theirs in zip(ours, numbas, strict=True):
+        assert mine.tobytes() == theirs.tobytes()
     nearest = np.array([[int(x ^ y).bit_count() for y in words[1][0]] for x in words[0][:5, 0]])
     assert nearest.shape == (5, 250)
-    assert (values[3][:5] >> np.uint64(32) >= nearest.min(axis=1)).all()
+    assert (ours[0][:5] >> np.uint64(32) >= nearest.min(axis=1)).all()
 
 
 def test_arguments_of_another_kind_are_no_call_of_it() -> None:
