@@ -7,12 +7,11 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from featreg.errors import ParameterError
-from featreg.focusing.inputs import Focus, check_method, focused_input, focused_inputs
 from featreg.geometry import as_model
 from featreg.interfaces import Matcher, Model
 from featreg.io import ImageLike, as_image
@@ -35,6 +34,9 @@ from featreg.runtime.watching import Canceller, Progress, cancellable, check_wat
 from featreg.sar.bridging import bridged, on_sample
 from featreg.scene.blocks import BLOCK
 from featreg.types import FloatArray, Image
+
+if TYPE_CHECKING:
+    from featreg.focusing.inputs import Focus
 
 #: Images of more pixels are worked on in blocks.
 MOST_PIXELS = 4_000_000
@@ -161,6 +163,8 @@ def match(
     focusing: dict[str, Any] = {}
     with cancellable(cancel), limited_threads(workers if threads is None else threads):
         if focus is not None:
+            from featreg.focusing.inputs import focused_inputs
+
             with collecting() as focused, stage("focus"):
                 first, second, focusing["focus"] = focused_inputs(first, second, focus)
             seconds |= focused
@@ -200,6 +204,8 @@ def keypoints_of(
         return None
     whole = as_image(image, mask=mask, nodata=nodata, scale=scale, band=band)
     if focus is not None and whole.is_complex:
+        from featreg.focusing.inputs import focused_input
+
         whole, _ = focused_input(whole, focus)
     seen = bridged(whole)
     xy = matcher.detector.detect_features(seen).best(matcher.n_features).xy
@@ -213,6 +219,8 @@ def check_keywords(keywords: Mapping[str, Any]) -> None:
     size = block_side(known.get("block"), known.get("dem"), known.get("height"), known.get("model"))
     _check_running(**{name: known.get(name) for name in ("workers", "threads", "executor", "progress", "cancel")})
     if isinstance(known.get("focus"), str):
+        from featreg.focusing.inputs import check_method
+
         check_method(known["focus"])
     for band in bands_of(known):
         check_band(band)

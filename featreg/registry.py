@@ -8,6 +8,7 @@ itself and is named with the reason when asked for.
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import inspect
 import logging
 import pkgutil
@@ -15,7 +16,7 @@ import sys
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cache, partial
 from importlib.metadata import entry_points
 from typing import Any, Literal, TypeVar, overload
 
@@ -173,6 +174,9 @@ def entry(kind: str, name: str) -> Entry:
     UnknownNameError
         No plugin of that name; the text suggests the nearest.
     """
+    alone = _alone(kind, name)
+    if alone is not None:
+        return alone
     known = {e.name: e for e in entries(kind)}
     if name not in known:
         raise unknown(kind, name)
@@ -227,7 +231,8 @@ def model_class(name: str) -> type[Model]:
 
 def model_name(cls: type[Model]) -> str:
     """Return the registered name of a model class (its class name where it has none)."""
-    return next((e.name for e in entries("model") if e.factory is cls), cls.__name__)
+    registered = next((e.name for e in list(_entries.values()) if e.kind == "model" and e.factory is cls), None)
+    return registered or next((e.name for e in entries("model") if e.factory is cls), cls.__name__)
 
 
 def _defaults(name: str, cls: type[Any]) -> dict[str, Any]:
@@ -249,6 +254,30 @@ def _add(new: Entry) -> None:
         if old is not None and (old.module, old.factory) != (new.module, new.factory):
             raise DuplicatePluginError(f"two plugins are called {new.kind} '{new.name}': {old.module} and {new.module}")
         _entries[new.kind, new.name] = new
+
+
+def _alone(kind: str, name: str) -> Entry | None:
+    """The entry of a plugin of ours that stands in the file of its name, without importing all others.
+
+    None where there is no such file, where other packages have plugins too, which must not share a name, and where all
+    are imported already.
+    """
+    if _loaded or kind not in KINDS or _foreign():
+        return None
+    file = name.replace("-", "_")
+    places = (CORE[0],) if kind == "model" else tuple(f"{room}.{file}" for room in ROOMS) if file.isidentifier() else ()
+    with _lock:
+        for place in places:
+            if (kind, name) not in _entries and importlib.util.find_spec(place) is not None:
+                _import(place, partial(importlib.import_module, place), ours=True)
+        found = _entries.get((kind, name))
+    # What the caller registered may share its name with a file that was not imported yet.
+    return found if found is not None and found.module.startswith((*ROOMS, *CORE)) else None
+
+
+@cache
+def _foreign() -> bool:
+    return bool(entry_points(group="featreg.plugins"))
 
 
 def _load() -> None:

@@ -6,47 +6,38 @@ still written); 4 a comparison with failed rows; 130 interrupted. Whatever goes 
 
 from __future__ import annotations
 
+import importlib
 import logging
 import os
 import sys
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from typing import Annotated, Any
 
 import typer
 
 from featreg._version import __version__
-from featreg.cli import compare, demo, doctor, explain, export, focus, listing, mark, match, sweep, warp
 from featreg.errors import FeatregError, UnknownNameError, suggest
 from featreg.runtime.progress import close_bars
 
-COMMANDS: dict[str, Callable[..., None]] = {
-    "match": match.match,
-    "explain": explain.explain,
-    "compare": compare.compare,
-    "sweep": sweep.sweep,
-    "warp": warp.warp,
-    "export": export.export,
-    "focus": focus.focus,
-    "mark": mark.mark,
-    "list": listing.list_names,
-    "demo": demo.demo,
-    "doctor": doctor.doctor,
+#: Name -> module in `featreg.cli`, function. Only the one that is asked for is imported.
+COMMANDS: dict[str, tuple[str, str]] = {
+    "match": ("match", "match"),
+    "explain": ("explain", "explain"),
+    "compare": ("compare", "compare"),
+    "sweep": ("sweep", "sweep"),
+    "warp": ("warp", "warp"),
+    "export": ("export", "export"),
+    "focus": ("focus", "focus"),
+    "mark": ("mark", "mark"),
+    "list": ("listing", "list_names"),
+    "demo": ("demo", "demo"),
+    "doctor": ("doctor", "doctor"),
 }
 HELP = "Register SAR images: tie points, a geometric model and a verdict on whether to trust it."
 
-app = typer.Typer(
-    help=HELP,
-    add_completion=False,
-    rich_markup_mode=None,
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
-)
-for _name, _function in COMMANDS.items():
-    app.command(_name)(_function)
 
-
-@app.callback(invoke_without_command=True)
 def root(
     context: typer.Context,
     version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
@@ -59,6 +50,22 @@ def root(
 
 
 root.__doc__ = HELP
+
+
+def application(arguments: Sequence[str]) -> typer.Typer:
+    """The command line as far as these arguments need it: all commands, or the one that they name."""
+    app = typer.Typer(
+        help=HELP,
+        add_completion=False,
+        rich_markup_mode=None,
+        context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+    )
+    app.callback(invoke_without_command=True)(root)
+    named = _command(arguments)
+    for name in COMMANDS if named is None else (named,):
+        module, function = COMMANDS[name]
+        app.command(name)(getattr(importlib.import_module(f"featreg.cli.{module}"), function))
+    return app
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -84,7 +91,7 @@ def _run(given: Sequence[str]) -> int:
                 warnings.simplefilter("ignore")
             _check_command(given)
             try:
-                code = app(args=given, prog_name="featreg", standalone_mode=False)
+                code = application(given)(args=given, prog_name="featreg", standalone_mode=False)
             finally:
                 close_bars()
     except KeyboardInterrupt:
@@ -103,9 +110,13 @@ def _run(given: Sequence[str]) -> int:
     return code if isinstance(code, int) else 0
 
 
+def _command(arguments: Sequence[str]) -> str | None:
+    """The command: the first word, since the options before it take no values."""
+    return next((a for a in arguments if not a.startswith("-")), None)
+
+
 def _check_command(arguments: Sequence[str]) -> None:
-    """The options before the command take no values, so the first word is the command."""
-    word = next((a for a in arguments if not a.startswith("-")), None)
+    word = _command(arguments)
     if word is not None and word not in COMMANDS:
         raise UnknownNameError(f"unknown command '{word}', {suggest(word, COMMANDS)}")
 
