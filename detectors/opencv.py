@@ -17,6 +17,7 @@ import numpy as np
 from featreg.interfaces import Detector
 from featreg.interop.family import N_FEATURES, Member, Option, best_first, option, register_table
 from featreg.interop.opencv import (
+    BACKENDS,
     HALF_PIXEL,
     LEVELS,
     MIN_SIDE,
@@ -74,6 +75,16 @@ TABLE: dict[str, DetectorAlgorithm] = {
         {**budget("max_points"), **MLDB, **snake(threshold=0.001), **LEVELS},
         describes=True,
         unlimited=-1,
+    ),
+    "asift": DetectorAlgorithm(
+        "AffineFeature",
+        "ASIFT: points and descriptors of a detector in views of the image tilted and turned",
+        {
+            **N_FEATURES,
+            "backend": option("sift", choices=BACKENDS, meaning="the detector that describes each view"),
+            **camel(max_tilt=5, min_tilt=0, tilt_step=2**0.5, rotate_step_base=72.0),
+        },
+        describes=True,
     ),
     "blob": DetectorAlgorithm(
         "SimpleBlobDetector",

@@ -364,5 +364,10 @@ PRESETS: Mapping[str, Preset] = {
         "XFeat, LighterGlue", Part("kornia-xfeat"), None, Part("kornia-lightglue", {"features": "xfeat"})
     ),
     "kornia-dedode": _kornia("DeDoDe, ratio test both ways", Part("kornia-dedode"), None, _SMNN),
+    "vismatch": Preset(
+        "Any matcher of vismatch by its name (matcher.network), FSC",
+        matcher=Part("vismatch"),
+        filters=(Part("fsc"),),
+    ),
     "kornia-loftr": Preset("LoFTR, by kornia", matcher=Part("kornia-loftr"), filters=(Part("fsc"),)),
 }

@@ -8,21 +8,23 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from featreg.errors import InputError, ParameterError
-from featreg.interop.family import DESCRIBE, NORMALISE, Option, Row, option
+from featreg.errors import InputError, ParameterError, PluginUnavailableError
+from featreg.interop.family import DESCRIBE, NORMALISE, File, Option, Row, option
 from featreg.sar.normalise import to_uint8
 from featreg.types import BoolArray, Features, FloatArray, Image
 
 ALGORITHMS = (
-    "AKAZE", "AgastFeatureDetector", "BEBLID", "BRISK", "BoostDesc", "BriefDescriptorExtractor",
-    "DAISY", "FREAK", "FastFeatureDetector", "GFTTDetector", "HarrisLaplaceFeatureDetector", "KAZE", "LATCH", "LUCID",
-    "MSDDetector", "MSER", "ORB", "SIFT", "SURF", "SimpleBlobDetector", "StarDetector", "TBMR", "TEBLID", "VGG",
+    "AKAZE", "ALIKED", "ANNIndex", "AffineFeature", "AgastFeatureDetector", "BEBLID", "BRISK", "BoostDesc",
+    "BriefDescriptorExtractor", "DAISY", "DISK", "FREAK", "FastFeatureDetector", "GFTTDetector",
+    "HarrisLaplaceFeatureDetector", "KAZE", "LATCH", "LUCID", "LightGlueMatcher", "MSDDetector", "MSER", "ORB", "SIFT",
+    "SURF", "SimpleBlobDetector", "StarDetector", "TBMR", "TEBLID", "VGG",
 )  # fmt: skip
 #: Shortest side of an image that every algorithm handles, px.
 MIN_SIDE = 16
@@ -183,6 +185,8 @@ class Algorithm(Row):
             for keyword, value in keywords.items():
                 setattr(options, keyword, value)
             return found(options)
+        if self.creator == "AffineFeature":
+            keywords["backend"] = _backend(values["backend"])
         return found(**keywords)
 
     def form(self, values: Mapping[str, Any]) -> tuple[str, int]:
@@ -190,6 +194,20 @@ class Algorithm(Row):
         with clear_errors(self.creator):
             made = self.make(values)
         return "l2" if made.descriptorType() else "hamming", made.descriptorSize()
+
+
+#: What `AffineFeature` may run on each view, by our name and OpenCV's.
+BACKENDS = {"sift": "SIFT", "orb": "ORB", "akaze": "AKAZE", "brisk": "BRISK"}
+
+
+def _backend(name: str) -> Any:
+    create = resolve(BACKENDS[name])
+    if isinstance(create, str):
+        raise ParameterError(f"AffineFeature cannot run {name} here: {create}")
+    if name == "orb":
+        return create(nfeatures=5000)
+    # Without it the points lie a quarter of a pixel off.
+    return create(enable_precise_upscale=True) if name == "sift" else create()
 
 
 #: What the detector and the descriptor of one name have in common.
@@ -206,3 +224,53 @@ MLDB = {
     **snake(descriptor_size=0, descriptor_channels=3),
 }
 SIZES = camel(extended=False, upright=False)
+
+
+def onnx_weights() -> File:
+    """The parameter `weights` of a network that OpenCV runs itself."""
+    return File(None, str, meaning="file of the network in the format ONNX; OpenCV ships none")
+
+
+@dataclass(frozen=True)
+class NetworkRow(Row):
+    """One network of OpenCV 5 that is read from a file in the format ONNX.
+
+    Parameters
+    ----------
+    build : (OpenCV's create function, path, parameters) -> OpenCV's object
+    reads_image : it has a parameter `normalise`
+    """
+
+    build: Callable[[Any, str, Mapping[str, Any]], Any] = field(kw_only=True)
+    reads_image: bool = field(default=True, kw_only=True)
+
+    def __post_init__(self) -> None:
+        more = NORMALISE if self.reads_image else {}
+        object.__setattr__(self, "parameters", {**self.parameters, **more})
+
+    @property
+    def unavailable(self) -> str:
+        return unavailable(self.creator) or f"OpenCV ships no weights of {self.creator}; give weights=FILE.onnx"
+
+    @property
+    def on_demand(self) -> bool:
+        return not unavailable(self.creator)
+
+    def network(self, name: str, values: Mapping[str, Any]) -> Any:
+        """Return OpenCV's object for these parameters.
+
+        Raises
+        ------
+        PluginUnavailableError
+            This OpenCV has no such network, or no file is given.
+        InputError
+            OpenCV cannot read the file.
+        """
+        create = resolve(self.creator)
+        if isinstance(create, str) or values["weights"] is None:
+            raise PluginUnavailableError(f"{name}: {self.unavailable}")
+        path = str(values["weights"])
+        if not Path(path).is_file():
+            raise InputError(f"weights file {path}: no such file; {name} needs one in the format ONNX")
+        with clear_errors(self.creator):
+            return self.build(create, path, values)
