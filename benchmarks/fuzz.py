@@ -68,7 +68,10 @@ class Seed:
 
     @property
     def text(self) -> bool:
-        return self.damaged.suffix.lower() in (".json", ".csv", ".txt", ".points", ".pts", ".yaml", ".toml")
+        return self.damaged.suffix.lower() in (
+            ".json", ".csv", ".txt", ".points", ".pts", ".yaml", ".toml", ".hdr", ".rsc", ".xml",
+            ".vrt", ".ers", ".safe",
+        )  # fmt: skip
 
 
 def seeds(folder: Path) -> list[Seed]:
@@ -163,9 +166,7 @@ def trial(seed: Seed, number: int, base: int, folder: Path) -> Path:
     """Write the damaged copy `number` of a seed, beside copies of what lies beside it; returns the file to read."""
     name = seed.path.name
     rng = np.random.default_rng([base, number, *name.encode()])
-    folder.mkdir(exist_ok=True)
-    for other in seed.path.parent.iterdir():
-        shutil.copyfile(other, folder / other.name)
+    shutil.copytree(seed.path.parent, folder, dirs_exist_ok=True)
     (folder / seed.damaged.name).write_bytes(damaged(seed.damaged.read_bytes(), rng, text=seed.text))
     return folder / name
 

@@ -7,17 +7,20 @@ from __future__ import annotations
 
 import json
 import logging
+import shutil
 import warnings
+import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import cv2
+import h5py
 import numpy as np
 import rasterio
 from rasterio.control import GroundControlPoint
 from rasterio.rpc import RPC
-from scipy.io import savemat
+from scipy.io import netcdf_file, savemat
 from scipy.sparse import csc_array
 
 import featreg
@@ -83,6 +86,7 @@ def scenes(root: Path) -> Iterator[Sound]:
             dataset.write(samples.astype(np.complex64 if "complex" in profile["dtype"] else profile["dtype"]), 1)
         yield "images", path, whole
         yield "windows", path, windows
+    yield from formats(root, place)
     gray = (AMPLITUDE // 4).clip(0, 255).astype(np.uint8)
     for name in ("gray.png", "gray.jpg", "gray.bmp"):
         path = _folder(root, name) / name
@@ -119,6 +123,64 @@ def scenes(root: Path) -> Iterator[Sound]:
         write_rpc(path.with_name(name), PLACE)
         yield "RPC files", path, whole, path.with_name(name)
     yield "phase histories", _history(root), read_phase_history
+
+
+def formats(root: Path, place: Any) -> Iterator[Sound]:
+    """Files of the formats that are told by what lies beside them, of datasets, products and archives."""
+    one: dict[str, Any] = {"height": SHAPE[0], "width": SHAPE[1], "count": 1}
+    where: dict[str, Any] = {"crs": "EPSG:4326", "transform": place}
+    written: dict[str, tuple[str, Any, str]] = {
+        "envi.dat": ("ENVI", COMPLEX, "envi.hdr"), "isce.slc": ("ISCE", COMPLEX, "isce.slc.xml"),
+        "roi.slc": ("ROI_PAC", COMPLEX, "roi.slc.rsc"), "hfa.img": ("HFA", AMPLITUDE, ""),
+        "mapper.ers": ("ERS", AMPLITUDE, ""), "esri.bil": ("EHdr", AMPLITUDE, "esri.hdr"),
+        "pci.pix": ("PCIDSK", AMPLITUDE, ""), "wavelets.jp2": ("JP2OpenJPEG", AMPLITUDE, ""),
+    }  # fmt: skip
+    for name, (driver, samples, header) in written.items():
+        path = _folder(root, name) / name
+        with rasterio.open(path, "w", driver=driver, dtype=samples.dtype, **one, **where) as dataset:
+            dataset.write(samples, 1)
+        yield "formats", path, windows
+        if header:
+            yield "formats", path, windows, path.with_name(header)
+    path = _folder(root, "a.vrt") / "a.vrt"
+    with rasterio.open(path.with_suffix(".tif"), "w", driver="GTiff", dtype="uint16", **one, **where) as dataset:
+        dataset.write(AMPLITUDE, 1)
+    path.write_text(
+        f'<VRTDataset rasterXSize="{SHAPE[1]}" rasterYSize="{SHAPE[0]}"><VRTRasterBand dataType="UInt16" band="1">'
+        '<SimpleSource><SourceFilename relativeToVRT="1">a.tif</SourceFilename><SourceBand>1</SourceBand>'
+        "</SimpleSource></VRTRasterBand></VRTDataset>"
+    )
+    yield "formats", path, windows
+    yield "formats", path, whole, path.with_suffix(".tif")
+    with zipfile.ZipFile(_folder(root, "p.zip") / "p.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.write(path.with_suffix(".tif"), "inside/a.tif")
+    yield "formats", root / "p-zip" / "p.zip", windows
+    safe = _folder(root, "s.safe")
+    (safe / "manifest.safe").write_text('<X><fileLocation href="./measurement/s1a-iw-grd-vv-1-2.tiff"/></X>')
+    (safe / "measurement").mkdir(exist_ok=True)
+    shutil.copyfile(path.with_suffix(".tif"), safe / "measurement" / "s1a-iw-grd-vv-1-2.tiff")
+    yield "formats", safe / "manifest.safe", windows
+    yield from datasets(root)
+
+
+def datasets(root: Path) -> Iterator[Sound]:
+    """HDF5, netCDF and MATLAB 7.3."""
+    x, y = 15 + 1e-4 * np.arange(SHAPE[1]), 41 - 1e-4 * np.arange(SHAPE[0])
+    path = _folder(root, "a.h5") / "a.h5"
+    with h5py.File(path, "w") as file:
+        group = file.create_group("science/grids")
+        group.create_dataset("HH", data=COMPLEX, chunks=(16, 16), compression="gzip")
+        group["xCoordinates"], group["yCoordinates"], group["projection"] = x, y, np.int32(4326)
+        file["title"] = "words"
+    yield "formats", path, windows
+    yield "formats", path, lambda file: as_image(f"{file}:/science/grids/HH")
+    path = _folder(root, "a.nc") / "a.nc"
+    with netcdf_file(path, "w") as made:
+        for name, values in (("lat", y), ("lon", x)):
+            made.createDimension(name, len(values))
+            made.createVariable(name, "d", (name,))[:] = values
+        made.createVariable("sigma0", "f", ("lat", "lon"))[:] = AMPLITUDE
+    yield "formats", path, windows
 
 
 def _history(root: Path) -> Path:

@@ -28,6 +28,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "compare": ("compare", "compare"),
     "sweep": ("sweep", "sweep"),
     "warp": ("warp", "warp"),
+    "info": ("info", "info"),
     "export": ("export", "export"),
     "focus": ("focus", "focus"),
     "mark": ("mark", "mark"),

@@ -20,7 +20,7 @@ BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 TRIALS, SEED = 8, 2026
 KINDS = (
     "images", "windows", "masks", "elevation models", "RPC files", "phase histories", "tie points", "marked points",
-    "truths", "experiments", "results", "block files",
+    "truths", "experiments", "results", "block files", "formats",
 )  # fmt: skip
 
 
