@@ -1,6 +1,9 @@
 """The public names of featreg, and where each is defined: the one list."""
 
 from ._version import __version__ as __version__
+from .displacement.cells import Reason as Reason
+from .displacement.field import Offsets as Offsets
+from .displacement.run import offsets as offsets
 from .errors import FeatregError as FeatregError
 from .exports.formats import export as export
 from .exports.formats import read_tie_points as read_tie_points

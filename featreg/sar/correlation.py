@@ -86,21 +86,30 @@ def peaks(correlations: FloatArray) -> Peaks:
     inside = (row > 0) & (row < side - 1) & (col > 0) & (col < side - 1)
     r, c = np.clip(row, 1, side - 2), np.clip(col, 1, side - 2)
     i = np.arange(n)
+    nine = np.stack([np.stack([correlations[i, r + v, c + u] for u in (-1, 0, 1)], -1) for v in (-1, 0, 1)], -2)
+    step, curvature, curved = quadratic_steps(nine)
+    sound = inside & curved
+    shift = np.column_stack([col, row]) - search + np.where(sound[:, None], step, 0)
+    return Peaks(shift.astype(np.float64), correlations[i, row, col], curvature, sound)
 
-    def at(dy: int, dx: int) -> FloatArray:
-        return np.asarray(correlations[i, r + dy, c + dx])
 
-    left, middle, right = ([at(dy, dx) for dy in (-1, 0, 1)] for dx in (-1, 0, 1))
+def quadratic_steps(nine: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Return the step from the middle of (N, 3, 3) values to the top of the least-squares quadratic through them.
+
+    Returns
+    -------
+    (N, 2) float64 px (dx, dy), (N, 2, 2) minus the Hessian, and (N,) bool, True where the quadratic curves downwards
+    and its top lies within one pixel; the step is 0 where it does not curve
+    """
+    left, middle, right = ([nine[:, v, u] for v in range(3)] for u in range(3))
     gx = (sum(right) - sum(left)) / 6
     gy = (right[2] + middle[2] + left[2] - right[0] - middle[0] - left[0]) / 6
     hxx = (sum(right) + sum(left) - 2 * sum(middle)) / 3
     hyy = sum(v[2] + v[0] - 2 * v[1] for v in (left, middle, right)) / 3
     hxy = (right[2] + left[0] - right[0] - left[2]) / 4
     determinant = hxx * hyy - hxy**2
-    sound = inside & (determinant > 1e-12) & (hxx < 0) & (hyy < 0)
+    sound = (determinant > 1e-12) & (hxx < 0) & (hyy < 0)
     safe = np.where(sound, determinant, 1.0)
-    dx, dy = -(hyy * gx - hxy * gy) / safe, -(hxx * gy - hxy * gx) / safe
-    sound &= (np.abs(dx) <= 1) & (np.abs(dy) <= 1)
-    shift = np.column_stack([col - search + np.where(sound, dx, 0), row - search + np.where(sound, dy, 0)])
+    step = np.column_stack([-(hyy * gx - hxy * gy) / safe, -(hxx * gy - hxy * gx) / safe]) * sound[:, None]
     curvature = -np.stack([np.stack([hxx, hxy], -1), np.stack([hxy, hyy], -1)], -2)
-    return Peaks(shift.astype(np.float64), correlations[i, row, col], curvature, sound)
+    return step, curvature, sound & (np.abs(step) <= 1).all(axis=1)

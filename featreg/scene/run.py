@@ -127,7 +127,7 @@ def match_scene(
     with _finished_blocks_kept(options.resume), collecting() as timings:
         with ExitStack() as stack:
             executor = stack.enter_context(open_executor(options.executor, options.workers))
-            shared = _shareable(reference, secondary, executor, stack)
+            shared = shareable(reference, secondary, executor, stack)
             pipeline = _bound(pipeline, reference, secondary, heights)
             with cancellable(options.cancel), stage("prior"):
                 found = first_prior(pipeline, reference, secondary, heights, seed, initial, search_radius)
@@ -180,7 +180,7 @@ def _check_heights(options: SceneOptions, pipeline: Pipeline, sources: Sequence[
             )
 
 
-def _shareable(reference: Source, secondary: Source, executor: TaskExecutor, stack: ExitStack) -> tuple[Source, Source]:
+def shareable(reference: Source, secondary: Source, executor: TaskExecutor, stack: ExitStack) -> tuple[Source, Source]:
     """The scenes as workers that do not share this memory and this folder find them: as files, by absolute names."""
     if not executor.own_process:
         return reference, secondary

@@ -49,13 +49,14 @@ def check_folder(folder: str | Path) -> Path:
     return Path(folder)
 
 
-class BlockFiles:
-    """The block files of one run in a folder.
+class ArrayFiles:
+    """Named arrays of finished tasks of one run in a folder, one file a task.
 
     Parameters
     ----------
     folder : made if it does not exist
-    digest : of everything that the content of a block depends on
+    digest : of everything that the content of the files depends on
+    kind : what the tasks are, the first word of the files' names
 
     Raises
     ------
@@ -63,37 +64,71 @@ class BlockFiles:
         The folder cannot be made or written to.
     """
 
-    def __init__(self, folder: str | Path, digest: str) -> None:
-        self.folder, self.digest = check_folder(folder), digest
+    def __init__(self, folder: str | Path, digest: str, kind: str) -> None:
+        self.folder, self.digest, self.kind = check_folder(folder), digest, kind
         # What a killed run left half written.
-        for stray in self.folder.glob(f".block_{digest[:12]}_*.tmp"):
+        for stray in self.folder.glob(f".{kind}_{digest[:12]}_*.tmp"):
             stray.unlink(missing_ok=True)
 
-    def path(self, block: Block) -> Path:
-        return self.folder / f"block_{self.digest[:12]}_{block.row:04d}_{block.col:04d}.npz"
+    def path(self, name: str) -> Path:
+        return self.folder / f"{self.kind}_{self.digest[:12]}_{name}.npz"
 
-    def load(self, block: Block) -> BlockResult | None:
-        """The finished block, or None where there is no sound file of it."""
-        path = self.path(block)
+    def load(self, name: str) -> dict[str, Any] | None:
+        """The arrays of a task, or None where there is no sound file of it."""
+        path = self.path(name)
         try:
-            content = path.read_bytes()
-            columns = load_arrays(io.BytesIO(content))
+            columns = load_arrays(io.BytesIO(path.read_bytes()))
             if str(columns.pop("digest")) != self.digest or str(columns.pop("checksum")) != digest_arrays(columns):
-                raise ValueError("its digest or its checksum is not that of this block")
-            result = from_columns(columns)
-            if result.index != block.index:
-                raise ValueError("it holds another block")
+                raise ValueError(f"its digest or its checksum is not that of this {self.kind}")
         except FileNotFoundError:
             return None
         except (OSError, ValueError, KeyError, TypeError) as error:
-            logger.warning("block file %s is not used, its block is computed again (%s)", path, error)
+            self.refuse(name, error)
+            return None
+        return columns
+
+    def refuse(self, name: str, error: Exception) -> None:
+        """Say that a file is not used."""
+        logger.warning(
+            "%s file %s is not used, its %s is computed again (%s)", self.kind, self.path(name), self.kind, error
+        )
+
+    def save(self, name: str, columns: Mapping[str, Any]) -> None:
+        """Write the arrays of a finished task; the file appears whole or not at all."""
+        buffer = io.BytesIO()
+        np.savez(buffer, digest=np.array(self.digest), checksum=np.array(digest_arrays(columns)), **columns)
+        # A file that a power cut leaves short is found out by its checksum.
+        write_atomic(self.path(name), buffer.getbuffer(), sync=False)
+
+
+class BlockFiles:
+    """The block files of one run in a folder; parameters and errors as `ArrayFiles`."""
+
+    def __init__(self, folder: str | Path, digest: str) -> None:
+        self._files = ArrayFiles(folder, digest, "block")
+        self.folder, self.digest = self._files.folder, digest
+
+    def path(self, block: Block) -> Path:
+        return self._files.path(_name(block))
+
+    def load(self, block: Block) -> BlockResult | None:
+        """The finished block, or None where there is no sound file of it."""
+        columns = self._files.load(_name(block))
+        if columns is None:
+            return None
+        try:
+            result = from_columns(columns)
+            if result.index != block.index:
+                raise ValueError("it holds another block")
+        except (ValueError, KeyError, TypeError) as error:
+            self._files.refuse(_name(block), error)
             return None
         return result
 
     def save(self, block: Block, result: BlockResult) -> None:
         """Write a finished block; the file appears whole or not at all."""
-        columns = columns_of(result)
-        buffer = io.BytesIO()
-        np.savez(buffer, digest=np.array(self.digest), checksum=np.array(digest_arrays(columns)), **columns)  # type: ignore[arg-type]
-        # A file that a power cut leaves short is found out by its checksum.
-        write_atomic(self.path(block), buffer.getbuffer(), sync=False)
+        self._files.save(_name(block), columns_of(result))
+
+
+def _name(block: Block) -> str:
+    return f"{block.row:04d}_{block.col:04d}"

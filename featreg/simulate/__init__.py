@@ -1,8 +1,10 @@
 """Simulated SAR data with exactly known truth: image pairs, scenes with RPCs and terrain, circular phase histories.
 
-Here stand the pairs of one landscape; `featreg.simulate.scene` and `featreg.simulate.circle` are imported by name.
+Here stand the pairs of one landscape, still or moving; `featreg.simulate.scene` and `featreg.simulate.circle` are
+imported by name.
 """
 
+from featreg.simulate.displaced import DisplacedPair, displaced_pair
 from featreg.simulate.pairs import (
     FINER,
     NOISE,
@@ -14,4 +16,15 @@ from featreg.simulate.pairs import (
     similarity_matrix,
 )
 
-__all__ = ["FINER", "NOISE", "STRIP", "SimulatedPair", "gamma_field", "painted", "sar_pair", "similarity_matrix"]
+__all__ = [
+    "FINER",
+    "NOISE",
+    "STRIP",
+    "DisplacedPair",
+    "SimulatedPair",
+    "displaced_pair",
+    "gamma_field",
+    "painted",
+    "sar_pair",
+    "similarity_matrix",
+]
