@@ -11,7 +11,7 @@ import numpy as np
 from featreg._version import __version__
 from featreg.displacement.cells import MEANINGS, CellGrid
 from featreg.displacement.ground import is_on_map
-from featreg.io.readers import quiet
+from featreg.io.gdal_errors import quiet
 from featreg.io.writers import geolocation_profile, replacing
 from featreg.types import FloatArray, Geolocation
 
