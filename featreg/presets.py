@@ -156,6 +156,9 @@ _PAPER_GRID = {"tie_points": "cc", "patch": 64, "step": 32, "subpixel": False, "
 # last change, 53 and -93); of 40 true pairs 39 reach 212, -442 and 2.2 px.
 _SEARCHED_TRUST = {"least_inliers": 60, "significance": -140.0, "uncertainty_px": 3.5, "held_out_px": 3.0}
 
+# Between an optical and a SAR image windows differ by 2 to 3 px where the model is right.
+_DENSE_TRUST = {"uncertainty_px": 3.5, "held_out_px": 3.0}
+
 
 def _kornia(summary: str, detector: Part, descriptor: Part | None, nearest: Part) -> Preset:
     """Parts of kornia; its ways of matching have tests of their own, which stand for GMS."""
@@ -259,6 +262,13 @@ PRESETS: Mapping[str, Preset] = {
         refine=False,
         model="similarity",
         trust=_SEARCHED_TRUST,
+    ),
+    "sar-dense": Preset(
+        "Orientation of ratio gradients correlated over any rotation, scale and shift, verified by windows, FSC",
+        matcher=Part("orientation-correlation"),
+        filters=(Part("fsc", {"threshold": 4.0}),),
+        refine=False,
+        trust=_DENSE_TRUST,
     ),
     "rift-paper": Preset(
         "RIFT as in Li, Hu and Ai 2020, made rotation invariant as in RIFT2",

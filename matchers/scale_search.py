@@ -19,8 +19,8 @@ from featreg.pipeline.trust_measures import distinct
 from featreg.registry import register
 from featreg.runtime.parameters import Count, Positive, Share
 from featreg.runtime.timing import stage
-from featreg.sar.pyramid import to_base
-from featreg.types import Image, Matches, read_only
+from featreg.sar.pyramid import reduced, to_base
+from featreg.types import Image, Matches
 
 logger = logging.getLogger(__name__)
 
@@ -32,8 +32,6 @@ HALVED_SIDE = 256
 ENOUGH = 0.4
 # Alignments whose corners lie this near to each other, as a share of the diagonal, are one.
 NEAR = 0.15
-# A reduced pixel counts where at least this share of it, of 255, is data.
-WHOLE = 254
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,8 +135,8 @@ class ScaleSearch(Matcher):
         self, reference: Image, secondary: Image, ratio: float, size: float, matcher: FeatureMatcher
     ) -> _Trial | None:
         """What is found at one ratio, None where no similarity of about that scale has a consensus."""
-        first = _reduced(reference, size * min(ratio, 1.0))
-        second = _reduced(secondary, size * min(1.0 / ratio, 1.0))
+        first = reduced(reference, size * min(ratio, 1.0))
+        second = reduced(secondary, size * min(1.0 / ratio, 1.0))
         if min(*first.shape, *second.shape) < SMALLEST:
             return None
         found = matcher.match(first, second)
@@ -178,24 +176,3 @@ def _agree(one: Similarity, other: Similarity, reference: Image) -> bool:
     there = other(corners)
     size = float(np.hypot(*(there[3] - there[0])))
     return bool(np.hypot(*(one(corners) - there).T).max() <= NEAR * size)
-
-
-def _reduced(image: Image, factor: float) -> Image:
-    """The amplitude image `factor` times as large, by area weighting; kept with the image."""
-    height, width = (max(1, round(n * factor)) for n in image.shape)
-    if (height, width) == image.shape:
-        return image
-    return image.derive(_reduced_to, height=height, width=width)
-
-
-def _reduced_to(image: Image, height: int, width: int) -> Image:
-    import cv2
-
-    size = (width, height)
-    pixels = np.asarray(cv2.resize(image.amplitude, size, interpolation=cv2.INTER_AREA), np.float32)
-    mask = np.ones(pixels.shape, np.bool_)
-    if not image.all_valid:
-        share = cv2.resize(image.mask.view(np.uint8) * np.uint8(255), size, interpolation=cv2.INTER_AREA)
-        mask = np.asarray(share >= WHOLE)
-        pixels = np.where(mask, pixels, np.float32(0))
-    return Image(read_only(pixels), read_only(mask), source_dtype=image.source_dtype)

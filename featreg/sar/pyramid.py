@@ -14,6 +14,8 @@ SMALLEST = 32
 SUPPORT = 20.0
 # How far, in pixels of a level, the sub-pixel position of a point may lie from its pixel.
 REACH = 2.0
+# A reduced pixel counts where at least this share of it, of 255, is data.
+WHOLE = 254
 
 
 def pyramid(image: Image, levels: int = 8, factor: float = 1.2) -> tuple[Image, ...]:
@@ -32,6 +34,17 @@ def to_base(xy: FloatArray, level: Image, base: Image) -> FloatArray:
     """Map (N, 2) points of a pyramid level to the base image: ``(x + 0.5) * s - 0.5`` on each axis."""
     scale = np.array([base.shape[1] / level.shape[1], base.shape[0] / level.shape[0]])
     return np.asarray((xy + 0.5) * scale - 0.5)
+
+
+def reduced(image: Image, factor: float) -> Image:
+    """Return the amplitude image `factor` times as large, at most 1, by area weighting; kept with the image.
+
+    A pixel is valid where all that it averages is valid.
+    """
+    height, width = (max(1, round(n * factor)) for n in image.shape)
+    if (height, width) == image.shape:
+        return image
+    return image.derive(_reduced_to, height=height, width=width)
 
 
 def share_out(total: int, supply: Sequence[int], decay: float) -> list[int]:
@@ -75,6 +88,19 @@ def _smaller(image: Image, levels: int, factor: float) -> tuple[Image, ...]:
             pixels *= mask
         chain.append(Image(read_only(np.asarray(pixels, np.float32)), read_only(mask), source_dtype=image.source_dtype))
     return tuple(chain[1:])
+
+
+def _reduced_to(image: Image, height: int, width: int) -> Image:
+    import cv2
+
+    size = (width, height)
+    pixels = np.asarray(cv2.resize(image.amplitude, size, interpolation=cv2.INTER_AREA), np.float32)
+    mask = np.ones(pixels.shape, np.bool_)
+    if not image.all_valid:
+        share = cv2.resize(image.mask.view(np.uint8) * np.uint8(255), size, interpolation=cv2.INTER_AREA)
+        mask = np.asarray(share >= WHOLE)
+        pixels = np.where(mask, pixels, np.float32(0))
+    return Image(read_only(pixels), read_only(mask), source_dtype=image.source_dtype)
 
 
 def _clear(image: Image, reach: int) -> BoolArray:

@@ -1,0 +1,156 @@
+"""Local orientation correlation: what each window of two aligned fields says of its own displacement."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from featreg.sar.orientation.levels import Level
+from featreg.types import FloatArray
+
+F32 = NDArray[np.float32]
+
+#: Least share of a window that both images must hold.
+LEAST_VALID = 0.5
+#: Correlations are related to the energy at their shift, at least to this share of the largest.
+LEAST_ENERGY = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Surfaces:
+    """Correlation surfaces of N windows.
+
+    Parameters
+    ----------
+    xy : (N, 2) float64 centres of the windows, samples
+    values : (N, 2 S + 1, 2 S + 1) float32 correlation coefficients; element [i, S + dy, S + dx] for the window of the
+        second field displaced by (dx, dy)
+    samples : (N,) float64 samples of a window that both images hold
+    """
+
+    xy: FloatArray
+    values: F32
+    samples: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.xy)
+
+    @property
+    def reach(self) -> int:
+        """S, the largest displacement."""
+        return self.values.shape[1] // 2
+
+
+def correlated(level: Level, side: int, reach: int, step: int | None = None) -> Surfaces:
+    """Correlate windows of `side` samples, on a regular grid, over all displacements up to `reach`.
+
+    Parameters
+    ----------
+    level : the aligned fields
+    side, reach : samples
+    step : between neighbouring windows; None for windows that touch
+
+    Notes
+    -----
+    The real part of the sum of z1* z2 over the root of the sums of |z1|^2 and |z2|^2. Without data z is 0.
+    """
+    import cv2
+
+    height, width = level.valid.shape
+    step = step or side
+    count = [max(0, (n - side) // step + 1) for n in (height, width)]
+    first = [(n - side - (k - 1) * step) // 2 for n, k in zip((height, width), count, strict=True)]
+    corners = [(first[0] + i * step, first[1] + j * step) for i in range(count[0]) for j in range(count[1])]
+    share = np.asarray(cv2.integral(level.valid.view(np.uint8)))
+
+    def held(y: int, x: int) -> int:
+        corners = share[y : y + side + 1 : side, x : x + side + 1 : side].astype(np.int64)
+        return int(corners[1, 1] - corners[0, 1] - corners[1, 0] + corners[0, 0])
+
+    kept = [(y, x, held(y, x)) for y, x in corners]
+    kept = [entry for entry in kept if entry[2] >= LEAST_VALID * side**2]
+    wide, shifts = side + 2 * reach, 2 * reach + 1
+    n = cv2.getOptimalDFTSize(wide)
+    border = (reach,) * 4
+    there = cv2.copyMakeBorder(level.there, *border, cv2.BORDER_CONSTANT, value=0)
+    power = cv2.integral(there[..., 0] ** 2 + there[..., 1] ** 2, sdepth=cv2.CV_64F)
+    one, other = np.zeros((2, n, n, 2), np.float32)
+    values = np.zeros((len(kept), shifts, shifts), np.float32)
+    inverse = cv2.DFT_INVERSE | cv2.DFT_SCALE | cv2.DFT_COMPLEX_OUTPUT
+    for i, (y, x, _) in enumerate(kept):
+        window = level.here[y : y + side, x : x + side]
+        one[:side, :side] = window
+        other[:wide, :wide] = there[y : y + wide, x : x + wide]
+        spectra = [cv2.dft(values_of, flags=cv2.DFT_COMPLEX_OUTPUT) for values_of in (one, other)]
+        product = cv2.dft(cv2.mulSpectrums(spectra[1], spectra[0], 0, conjB=True), flags=inverse)
+        near, far = slice(y, y + shifts), slice(y + side, y + side + shifts)
+        left, right = slice(x, x + shifts), slice(x + side, x + side + shifts)
+        energy = power[far, right] - power[far, left] - power[near, right] + power[near, left]
+        energy = np.maximum(energy, LEAST_ENERGY * energy.max()) * float(np.vdot(window, window))
+        values[i] = product[:shifts, :shifts, 0] / np.sqrt(energy + 1e-12)
+    middle = (side - 1) / 2
+    xy = np.array([(x + middle, y + middle) for y, x, _ in kept], np.float64).reshape(-1, 2)
+    return Surfaces(xy, values, np.array([entry[2] for entry in kept], np.float64))
+
+
+def together(found: Surfaces, rotation_deg: float, zoom: float, steps: int) -> tuple[float, FloatArray]:
+    """Return what displacement of all windows by one similarity fits best.
+
+    Parameters
+    ----------
+    found : of N windows
+    rotation_deg, zoom : rotations up to this, and zooms up to this factor less 1, are tried about their middle
+    steps : of each, an odd number
+
+    Returns
+    -------
+    mean : of the correlation coefficients there
+    affine : (2, 3) samples -> displaced samples
+    """
+    from featreg.sar.orientation import orientation_kernels
+
+    middle = found.xy.mean(axis=0)
+    angles, zooms = np.radians(np.linspace(-rotation_deg, rotation_deg, steps)), np.linspace(-zoom, zoom, steps)
+    angle, size = (part.ravel() for part in np.meshgrid(angles, np.exp(zooms), indexing="ij"))
+    c, s = size * np.cos(angle), size * np.sin(angle)
+    linear = np.stack([np.stack([c, -s], -1), np.stack([s, c], -1)], -2)
+    moves = np.rint(np.einsum("hij,nj->hni", linear - np.eye(2), found.xy - middle)).astype(np.int64)
+    out = np.empty((len(linear), 3))
+    orientation_kernels.stacked(found.values, moves, out)
+    best = int(out[:, 0].argmax())
+    shift = out[best, [2, 1]]
+    return float(out[best, 0]) / len(found), np.column_stack([linear[best], middle + shift - linear[best] @ middle])
+
+
+def log10_chance(found: Surfaces, tolerance: int) -> float:
+    """Return the probability, as log10, that independent windows of unrelated fields speak for no displacement so well.
+
+    A window's p value is the share of all displacements around which, within the tolerance in samples, its
+    correlation gets as high as it does around none. Their logarithms are summed (R. A. Fisher): for N unrelated windows
+    minus that sum has a gamma distribution of shape N.
+    """
+    import cv2
+
+    if not len(found):
+        return 0.0
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * tolerance + 1,) * 2)
+    reach, total = found.reach, 0.0
+    inner = slice(tolerance, 2 * reach + 1 - tolerance)
+    for values in found.values:
+        around = cv2.dilate(values, disc)[inner, inner]
+        at_none = around[reach - tolerance, reach - tolerance]
+        total -= math.log(np.count_nonzero(around >= at_none) / around.size)
+    return _log10_gamma_tail(total, len(found))
+
+
+def _log10_gamma_tail(value: float, shape: int) -> float:
+    """log10 of the probability that a gamma variable of a whole-number shape exceeds a value."""
+    # exp(-x) times the sum over k < shape of x^k / k!, in logarithms.
+    if not value > 0:
+        return 0.0
+    terms = np.array([k * math.log(value) - math.lgamma(k + 1) for k in range(shape)])
+    top = float(terms.max())
+    return (top - value + math.log(float(np.exp(terms - top).sum()))) / math.log(10)

@@ -1,0 +1,92 @@
+"""`orientation-correlation` and `sar-dense`: any rotation and contrast, nothing on other places, honest covariances."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import featreg
+from featreg import registry
+from featreg.interfaces import FailedFit
+from featreg.io import as_image
+from featreg.simulate import SimulatedPair, sar_pair
+from featreg.types import Image
+
+SHAPE = (300, 300)
+
+
+def mapped(pair: SimulatedPair, xy: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(xy @ pair.truth[:, :2].T + pair.truth[:, 2])
+
+
+def grid_error(reg: featreg.Registration, pair: SimulatedPair) -> float:
+    x, y = np.meshgrid(np.linspace(60, 240, 7), np.linspace(60, 240, 7))
+    xy = np.column_stack([x.ravel(), y.ravel()])
+    assert not isinstance(reg.model, FailedFit)
+    return float(np.sqrt(((reg.model(xy) - mapped(pair, xy)) ** 2).sum(axis=1).mean()))
+
+
+@pytest.mark.parametrize(("rotation", "scale"), [(0.0, 1.0), (151.0, 1.2), (-83.0, 0.7)])
+def test_one_look_is_registered_at_any_rotation(rotation: float, scale: float) -> None:
+    pair = sar_pair(SHAPE, looks=1, rotation_deg=rotation, scale=scale, shift=(11, -7), seed=2)
+    reg = featreg.match(pair.reference, pair.secondary, method="sar-dense", model="similarity", seed=0, nodata=0)
+    assert reg.status == "ok", reg.reason
+    assert grid_error(reg, pair) < 0.3
+
+
+def test_reversed_contrast_is_no_obstacle() -> None:
+    pair = sar_pair(SHAPE, looks=4, rotation_deg=64, scale=1.1, shift=(4, 9), seed=6)
+    reversed_ = np.where(pair.secondary > 0, 1 / np.maximum(cv2.blur(pair.secondary, (5, 5)), 1e-6), 0)
+    reg = featreg.match(pair.reference, reversed_, method="sar-dense", model="similarity", seed=0, nodata=0)
+    assert reg.status == "ok", reg.reason
+    assert grid_error(reg, pair) < 0.6
+
+
+def test_other_places_and_mirror_images_give_nothing() -> None:
+    one = sar_pair(SHAPE, looks=4, rotation_deg=0, scale=1, shift=(0, 0), seed=8).reference
+    other = sar_pair(SHAPE, looks=4, rotation_deg=0, scale=1, shift=(0, 0), seed=9).reference
+    for secondary in (other, np.ascontiguousarray(one[:, ::-1])):
+        reg = featreg.match(one, secondary, method="sar-dense", seed=0)
+        assert reg.status == "unreliable"
+        assert len(reg.matches) == 0
+
+
+def test_no_tie_point_lies_on_nodata_and_wedges_do_not_matter() -> None:
+    pair = sar_pair(SHAPE, looks=4, rotation_deg=33, scale=1, shift=(0, 0), seed=4)
+    y, x = np.mgrid[0:300, 0:300]
+    mask = (x + y > 150) & (pair.secondary > 0)
+    reg = featreg.match(pair.reference, pair.secondary, method="sar-dense", model="rigid", seed=0, secondary_mask=mask)
+    assert reg.status == "ok", reg.reason
+    assert grid_error(reg, pair) < 0.2
+    there = np.rint(reg.matches.secondary_xy[reg.inliers]).astype(int)
+    near = cv2.dilate(mask.astype(np.uint8), np.ones((35, 35), np.uint8)) > 0
+    assert near[np.clip(there[:, 1], 0, 299), np.clip(there[:, 0], 0, 299)].all()
+
+
+def test_covariances_are_those_of_the_errors() -> None:
+    matcher = registry.create("matcher", "orientation-correlation")
+    lengths = []
+    for seed in range(2):
+        pair = sar_pair(SHAPE, looks=4, rotation_deg=12, scale=1, shift=(3, 5), seed=seed)
+        found = matcher.match(as_image(pair.reference), as_image(pair.secondary, nodata=0))
+        off = found.secondary_xy - mapped(pair, found.reference_xy)
+        good = np.hypot(*off.T) < 3
+        assert good.mean() > 0.8
+        assert found.covariance is not None
+        lengths.append(np.einsum("ni,nij,nj->n", off, np.linalg.inv(found.covariance), off)[good])
+    # The median of the squared Mahalanobis length of two Gaussian errors is 2 ln 2.
+    assert 0.5 < np.median(np.concatenate(lengths)) / (2 * np.log(2)) < 2
+
+
+def test_equal_input_gives_equal_bits_and_nothing_gives_nothing() -> None:
+    pair = sar_pair((200, 200), looks=4, rotation_deg=100, scale=1, shift=(0, 0), seed=1)
+    matcher = registry.create("matcher", "orientation-correlation")
+    one, two = (matcher.match(as_image(pair.reference), as_image(pair.secondary)) for _ in range(2))
+    assert len(one)
+    assert np.array_equal(one.secondary_xy, two.secondary_xy)
+    flat = Image(np.ones((64, 64), np.float32), np.ones((64, 64), np.bool_))
+    assert len(matcher.match(flat, flat)) == 0
+    tiny = Image(np.ones((5, 7), np.float32), np.ones((5, 7), np.bool_))
+    assert len(matcher.match(tiny, as_image(pair.secondary))) == 0
