@@ -41,7 +41,7 @@ class Surfaces:
     @property
     def reach(self) -> int:
         """S, the largest displacement."""
-        return self.values.shape[1] // 2
+        return int(self.values.shape[1]) // 2
 
 
 def correlated(level: Level, side: int, reach: int, step: int | None = None) -> Surfaces:
