@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from featreg.errors import InputError
-from featreg.geolocation.ellipsoid import earth_fixed
 from featreg.geolocation.orbit import Orbit
 from featreg.geolocation.sensor import Sensor, column_of
+from featreg.io.ellipsoid import earth_fixed
 from featreg.runtime.parameters import check
 from featreg.types import FloatArray
 

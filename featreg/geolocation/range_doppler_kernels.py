@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from featreg.geolocation.ellipsoid import AXIS, ECCENTRICITY2
+from featreg.io.ellipsoid import AXIS, ECCENTRICITY2
 from featreg.runtime.jit import compiled
 from featreg.types import FloatArray
 

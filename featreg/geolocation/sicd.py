@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from featreg.errors import InputError
-from featreg.geolocation.ellipsoid import earth_fixed, geodetic
 from featreg.geolocation.sensor import SIGMAS, Sensor, column_of
+from featreg.io.ellipsoid import earth_fixed, geodetic
 from featreg.types import FloatArray
 
 #: Metres (three standard errors) by which the geolocation may be off, where the metadata do not say.

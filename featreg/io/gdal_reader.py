@@ -14,6 +14,7 @@ from featreg.errors import InputError
 from featreg.io.bands import COLOURS, luminance
 from featreg.io.gdal_drivers import BY_NAME
 from featreg.io.gdal_errors import GDAL_OPTIONS, decoding, quiet, reason
+from featreg.io.products.stated import stated_sensor
 from featreg.io.reader import Band, Raster
 from featreg.io.scales import scale_in_words
 from featreg.io.window import Window
@@ -172,6 +173,7 @@ def geolocation_of(dataset: Any, called: str) -> Geolocation | None:
         rpcs=rpcs,
         # GDAL counts from the corner of the first pixel, we from its centre.
         gcps=np.array([(g.col - 0.5, g.row - 0.5, g.x, g.y, g.z or 0.0) for g in gcps]) if gcps else None,
+        sensor=stated_sensor(dataset.name, dataset.tags(), (dataset.height, dataset.width)),
     )
-    nothing = located.transform is None and located.rpcs is None and located.gcps is None
-    return None if nothing else located
+    forms = located.transform, located.rpcs, located.gcps, located.sensor
+    return None if all(form is None for form in forms) else located

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import posixpath
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -99,7 +99,9 @@ class GriddedReader:
         variables: Mapping[str, Variable],
         close: Callable[[], None],
         turned: bool = False,
+        sensor: Callable[[str], Mapping[str, Any] | None] = lambda name: None,
     ) -> None:
+        self._sensor = sensor
         self.called, self.driver, self._variables, self._close, self._turned = called, driver, variables, close, turned
         self.files: Sequence[str] = [called]
         self._images = [variable for variable in variables.values() if variable.is_image]
@@ -138,11 +140,19 @@ class GriddedReader:
         self._close()
 
     def geolocation(self, band: int) -> Geolocation | None:
-        """From coordinate vectors and a coordinate system, or from longitude and latitude of every pixel."""
+        """From the orbit and timing that a product states, coordinate vectors and a coordinate system, or longitude and
+        latitude of every pixel.
+        """
         if self._turned:
             return None
         with decoding(self.called, self.driver):
-            return self._located(self._images[band])
+            located = self._located(self._images[band])
+            try:
+                sensor = self._sensor(self._images[band].name)
+            except InputError as error:
+                logger.warning("%s: %s", self.called, error)
+                return located
+            return located if sensor is None else replace(located or Geolocation(), sensor=sensor)
 
     def _located(self, image: Variable) -> Geolocation | None:
         height, width = image.shape[-2:]

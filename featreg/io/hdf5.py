@@ -12,6 +12,7 @@ import numpy as np
 from featreg.errors import InputError
 from featreg.io.gdal_errors import decoding
 from featreg.io.gridded import GriddedReader, Variable, missing
+from featreg.io.products.nisar import sensor_of_nisar
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 #: Objects of a file that are looked at.
@@ -53,7 +54,9 @@ def open_hdf5(path: Path) -> GriddedReader:
         except BaseException:
             file.close()
             raise
-    return GriddedReader(str(path), "HDF5", variables, file.close, matlab)
+    return GriddedReader(
+        str(path), "HDF5", variables, file.close, matlab, sensor=lambda name: sensor_of_nisar(file, name)
+    )
 
 
 def _variables(h5py: Any, file: Any, path: Path) -> tuple[dict[str, Variable], bool]:

@@ -16,7 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import InputError
+from featreg.io.ellipsoid import geodetic
 from featreg.io.gdal_errors import decoding
+from featreg.io.products.sicd import sensor_of_sicd
 from featreg.io.reader import Band, Raster
 from featreg.io.window import Window
 from featreg.types import FloatArray, Geolocation
@@ -25,8 +27,6 @@ from featreg.types import FloatArray, Geolocation
 TAIL = 8 << 20
 #: Points along each axis at which the projection is evaluated.
 GRID = 9
-# WGS84.
-SEMI_MAJOR, FLATTENING = 6378137.0, 1 / 298.257223563
 
 
 def standard_of(path: Path) -> tuple[str, str]:
@@ -103,8 +103,8 @@ class SicdReader:
         return Raster(samples, "complex64")
 
     def geolocation(self, band: int) -> Geolocation | None:
-        """Ground control points at the height of the scene centre point, longitude and latitude on WGS84; None where
-        the projection does not converge.
+        """The SICD's own projection as a sensor, and ground control points from it at the height of the scene centre
+        point, longitude and latitude on WGS84; None where it does not converge.
         """
         with decoding(self.path, "SICD"), _silent():
             return _geolocation(self._sicd, self.tree, self.bands[0].shape)
@@ -144,7 +144,7 @@ def _samples(raw: NDArray[Any], lookup: FloatArray | None) -> NDArray[np.complex
 
 
 def _geolocation(sicd: Any, tree: Any, shape: tuple[int, int]) -> Geolocation | None:
-    """Control points from the SICD's own projection of a grid of pixels to the height of the scene centre point."""
+    """The SICD's projection, and control points by it: a grid of pixels at the height of the scene centre point."""
     helper = sicd.XmlHelper(tree)
     height = float(helper.load("{*}GeoData/{*}SCP/{*}LLH")[2])
     # A SICD may be a part of a larger image, in which its projection counts.
@@ -158,18 +158,4 @@ def _geolocation(sicd: Any, tree: Any, shape: tuple[int, int]) -> Geolocation | 
         return None
     if not converged or not np.isfinite(ecef).all():
         return None
-    return Geolocation(crs="EPSG:4326", gcps=np.column_stack([col, row, _geodetic(ecef)]))
-
-
-def _geodetic(ecef: FloatArray) -> FloatArray:
-    """(N, 3) longitude, latitude in degrees and height in metres of earth-centred points."""
-    x, y, z = ecef.T
-    e2 = FLATTENING * (2 - FLATTENING)
-    distance = np.hypot(x, y)
-    latitude = np.arctan2(z, distance * (1 - e2))
-    for _ in range(6):
-        normal = SEMI_MAJOR / np.sqrt(1 - e2 * np.sin(latitude) ** 2)
-        latitude = np.arctan2(z + e2 * normal * np.sin(latitude), distance)
-    normal = SEMI_MAJOR / np.sqrt(1 - e2 * np.sin(latitude) ** 2)
-    height = distance * np.cos(latitude) + z * np.sin(latitude) - SEMI_MAJOR**2 / normal
-    return np.column_stack([np.degrees(np.arctan2(y, x)), np.degrees(latitude), height])
+    return Geolocation(crs="EPSG:4326", gcps=np.column_stack([col, row, geodetic(ecef)]), sensor=sensor_of_sicd(tree))

@@ -9,12 +9,12 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from featreg.geolocation.ellipsoid import earth_fixed
 from featreg.geolocation.heights import Heights
 from featreg.geolocation.range_doppler import RangeDopplerSensor
 from featreg.geolocation.rpc import RpcSensor
 from featreg.geolocation.rpc_fit import fitted, lattice
 from featreg.geolocation.sensor import METRES_PER_DEGREE, Sensor, column_of, wrapped
+from featreg.io.ellipsoid import earth_fixed
 from featreg.types import FloatArray
 
 #: Radius of the orbit, metres (about 514 km above the ground).

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from featreg.geolocation.ellipsoid import earth_fixed
+from featreg.io.ellipsoid import earth_fixed
 from featreg.io.writers import replacing
 from featreg.simulate.orbit import ORBIT, RATE, RangeDoppler
 from featreg.types import FloatArray

@@ -14,10 +14,10 @@ from scipy.optimize import brentq
 import featreg
 from featreg.errors import InputError
 from featreg.geolocation import ConstantHeight, RangeDopplerSensor, RpcBias, ground_level, sensor_from_dict, sensor_of
-from featreg.geolocation.ellipsoid import earth_fixed, geodetic
 from featreg.geolocation.orbit import Orbit
 from featreg.geolocation.pixel_size import pixel_size
 from featreg.io import as_image
+from featreg.io.ellipsoid import earth_fixed, geodetic
 from featreg.results.input_image import InputImage
 from featreg.simulate.orbit import RangeDoppler
 from featreg.simulate.scene import simulate_scene

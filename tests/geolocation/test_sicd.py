@@ -12,7 +12,7 @@ import pytest
 
 from featreg.errors import InputError
 from featreg.geolocation import ConstantHeight, SicdSensor, Transfer, ground_level, sensor_from_dict
-from featreg.geolocation.ellipsoid import earth_fixed
+from featreg.io.ellipsoid import earth_fixed
 from featreg.io.products.sicd import sensor_of_sicd
 from featreg.simulate.orbit import RangeDoppler
 from featreg.simulate.sicd import sicd_xml

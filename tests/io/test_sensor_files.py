@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from featreg.errors import InputError
 from featreg.io import as_image
 from featreg.io.raster_source import RasterSource, Window
-from featreg.io.sicd import _geodetic, _samples
+from featreg.io.sicd import _samples
 
 rasterio = pytest.importorskip("rasterio")
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
@@ -177,14 +177,6 @@ def test_sicd_amplitude_and_phase() -> None:
     raw = np.array([[(2, 64)]], [("amp", "u1"), ("phase", "u1")])
     assert abs(_samples(raw, None)[0, 0] - 2j) < 1e-6
     assert abs(_samples(raw, np.linspace(0.0, 2550.0, 256))[0, 0] - 20j) < 1e-5
-
-
-def test_geodetic_coordinates() -> None:
-    from rasterio.warp import transform
-
-    lon, lat, height = [12.5, -70.0, 0.0], [48.2, -33.3, 89.0], [300.0, 10.0, 0.0]
-    ecef = np.column_stack(transform("EPSG:4979", "EPSG:4978", lon, lat, height))
-    np.testing.assert_allclose(_geodetic(ecef), np.column_stack([lon, lat, height]), atol=1e-6)
 
 
 def test_a_sicd_without_sarkit_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,9 +13,9 @@ import rasterio
 import featreg
 from featreg.errors import InputError, ParameterError
 from featreg.geolocation import DemHeights, RpcBias, RpcSensor, Transfer, find_overlap, sensor_of
-from featreg.geolocation.ellipsoid import earth_fixed
 from featreg.geometry import Affine
 from featreg.io import read_image
+from featreg.io.ellipsoid import earth_fixed
 from featreg.simulate.orbit import RangeDoppler
 from featreg.simulate.scene import ScenePair, read_scene_truth, simulate_scene
 from featreg.types import FloatArray

@@ -7,13 +7,13 @@ pydantic and tifffile.
 from __future__ import annotations
 
 import json
-import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from featreg.errors import InputError
+from featreg.io.ellipsoid import geodetic
 from featreg.io.products.vectors import seconds, thinned
 
 #: Metres (three standard errors) by which orbit, timing and atmosphere put a pixel off.
@@ -76,7 +76,7 @@ def sensor_of_capella(text: str, name: str) -> dict[str, Any] | None:
             "shape": [rows, int(image["columns"])],
             "look": str(collect["radar"]["pointing"]).lower(),
             "accuracy_m": ACCURACY_M,
-            "ground_m": None if centre is None else _height(centre),
+            "ground_m": None if centre is None else float(geodetic(np.array([centre], np.float64))[0, 2]),
             "epoch": epoch,
         }
     except (ValueError, KeyError, TypeError, AttributeError) as error:
@@ -89,15 +89,3 @@ def _squinted(geometry: dict[str, Any]) -> bool:
     """Whether rows are times of another Doppler than zero."""
     powers = geometry.get("doppler_centroid_polynomial", {}).get("coefficients", [0.0])
     return bool(np.abs(np.array(powers, np.float64)).max(initial=0.0) > ZERO_HZ)
-
-
-def _height(point: list[float]) -> float:
-    """Metres above the ellipsoid of an Earth-fixed point near the ground, to a centimetre."""
-    x, y, z = (float(value) for value in point)
-    axis, squared = 6378137.0, 6.69437999014e-3
-    flat = math.hypot(x, y)
-    latitude = math.atan2(z, flat * (1 - squared))
-    for _ in range(4):
-        normal = axis / math.sqrt(1 - squared * math.sin(latitude) ** 2)
-        latitude = math.atan2(z + squared * normal * math.sin(latitude), flat)
-    return flat * math.cos(latitude) + z * math.sin(latitude) - axis * math.sqrt(1 - squared * math.sin(latitude) ** 2)

@@ -14,7 +14,7 @@ import pytest
 
 from featreg.errors import InputError
 from featreg.geolocation import sensor_from_dict
-from featreg.geolocation.ellipsoid import earth_fixed
+from featreg.io.ellipsoid import earth_fixed
 from featreg.io.products.capella import sensor_of_capella
 from featreg.io.products.nisar import sensor_of_nisar
 from featreg.io.products.stated import stated_sensor
