@@ -28,9 +28,9 @@ from featreg.cli.explain import explain_file
 from featreg.exports.formats import FORMATS, export, read_tie_points
 from featreg.focusing.phase_history import read_phase_history
 from featreg.geolocation.heights import DemHeights
-from featreg.geolocation.rpc_file import write_rpc
 from featreg.io import as_image
 from featreg.io.raster_source import Window, open_source
+from featreg.io.rpc_file import write_rpc
 from featreg.marking.points import MarkedPoints
 from featreg.results.registration import Registration
 from featreg.scene.blocks import Block

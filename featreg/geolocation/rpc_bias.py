@@ -232,7 +232,7 @@ class RpcBias(CorrectedModel, metaclass=_Bindable):
         ParameterError, InputError
             Another name, or a file that cannot be written.
         """
-        from featreg.geolocation.rpc_file import write_rpc
+        from featreg.io.rpc_file import write_rpc
 
         write_rpc(path, self.corrected_rpc())
 

@@ -16,6 +16,7 @@ from featreg.io.gdal_drivers import BY_NAME
 from featreg.io.gdal_errors import GDAL_OPTIONS, decoding, quiet, reason
 from featreg.io.products.stated import stated_sensor
 from featreg.io.reader import Band, Raster
+from featreg.io.rpc_file import rpc_beside
 from featreg.io.scales import scale_in_words
 from featreg.io.window import Window
 from featreg.types import BoolArray, Geolocation
@@ -159,7 +160,7 @@ def geolocation_of(dataset: Any, called: str) -> Geolocation | None:
     gcps, gcp_crs = dataset.gcps
     crs = dataset.crs or gcp_crs
     try:
-        rpcs = dataset.rpcs.to_dict() if dataset.rpcs else None
+        rpcs = dataset.rpcs.to_dict() if dataset.rpcs else rpc_beside(dataset.name)
     except Exception as error:  # rasterio takes the numbers apart and raises whatever comes of that
         logger.warning(
             "%s: its RPC coefficients cannot be read (%s) and are left out; correct or remove them",

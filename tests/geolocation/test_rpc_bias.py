@@ -15,10 +15,10 @@ from rasterio.transform import RPCTransformer, from_origin
 import featreg
 from featreg.errors import InputError, ParameterError
 from featreg.geolocation import ConstantHeight, DemHeights, GeotransformSensor, RpcBias, RpcSensor, Transfer
-from featreg.geolocation.rpc_file import write_rpc
 from featreg.geometry import Affine, Translation, model_from_dict, model_to_dict, prediction_covariance
 from featreg.geometry.robust import fit_consensus, irls
 from featreg.interfaces import FailedFit
+from featreg.io.rpc_file import write_rpc
 from featreg.registry import model_class, model_name
 from featreg.simulate.orbit import RangeDoppler, Terrain
 from featreg.types import FloatArray
