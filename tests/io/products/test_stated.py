@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import warnings
 import zipfile
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -11,15 +12,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rasterio
 
 from featreg.errors import InputError
-from featreg.geolocation import sensor_from_dict
+from featreg.geolocation import RangeDopplerSensor, SicdSensor, sensor_from_dict, sensor_of
 from featreg.io.ellipsoid import earth_fixed
 from featreg.io.products.capella import sensor_of_capella
 from featreg.io.products.nisar import sensor_of_nisar
 from featreg.io.products.stated import stated_sensor
 from featreg.io.products.vectors import seconds, thinned
+from featreg.io.raster_source import Window, open_source
 from featreg.simulate.orbit import RangeDoppler
+from featreg.simulate.sicd import write_sicd
 
 SHAPE = (900, 1200)
 POINTS = np.random.default_rng(0).uniform(0, [SHAPE[1], SHAPE[0]], (30, 2))
@@ -103,22 +107,10 @@ class TestCapella:
 
 
 class TestSentinel1:
-    @pytest.fixture
-    def text(self) -> str:
-        import importlib.util
-
-        spec = importlib.util.spec_from_file_location("made_annotation", Path(__file__).with_name("test_sentinel1.py"))
-        assert spec is not None
-        assert spec.loader is not None
-        module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
-        made: str = module.annotation("stripmap")[0]
-        return made
-
-    def test_in_a_folder_and_in_an_archive(self, tmp_path: Path, text: str) -> None:
+    def test_in_a_folder_and_in_an_archive(self, tmp_path: Path, annotation: Any) -> None:
         folder = tmp_path / "S1A.SAFE"
         (folder / "annotation").mkdir(parents=True)
-        (folder / "annotation" / "s1a-vv.xml").write_text(text)
+        (folder / "annotation" / "s1a-vv.xml").write_text(annotation("stripmap")[0])
         plain = stated_sensor(str(folder / "measurement" / "s1a-vv.tiff"), {}, SHAPE)
         assert plain is not None
         with zipfile.ZipFile(tmp_path / "S1A.zip", "w") as archive:
@@ -127,6 +119,20 @@ class TestSentinel1:
         assert stated_sensor(inside, {}, SHAPE) == plain
         assert stated_sensor(inside.replace("s1a-vv", "other"), {}, SHAPE) is None
         assert stated_sensor(str(folder / "measurement" / "other.tiff"), {}, SHAPE) is None
+
+    def test_an_image_of_the_product_is_located_by_it(self, tmp_path: Path, annotation: Any) -> None:
+        folder = tmp_path / "S1A.SAFE"
+        for name in ("annotation", "measurement"):
+            (folder / name).mkdir(parents=True)
+        (folder / "annotation" / "s1a-vv.xml").write_text(annotation("grd")[0])
+        path = folder / "measurement" / "s1a-vv.tiff"
+        profile: dict[str, Any] = {"driver": "GTiff", "height": SHAPE[0], "width": SHAPE[1], "count": 1}
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with rasterio.open(path, "w", dtype="uint16", **profile) as dataset:
+                dataset.write(np.ones(SHAPE, np.uint16), 1)
+        place = open_source(path).geolocation
+        assert isinstance(sensor_of(place, SHAPE, "image"), RangeDopplerSensor)
 
 
 class TestNisar:
@@ -145,7 +151,7 @@ class TestNisar:
             lines.attrs["units"] = np.bytes_("seconds since 2024-05-06T07:06:29")
             own = swaths.create_group("frequencyA")
             own["slantRange"] = o.near_range + np.arange(SHAPE[1]) * o.range_spacing
-            own["HH"] = np.zeros((4, 4), np.complex64)
+            own["HH"] = np.ones(SHAPE, np.complex64)
             orbit = root.create_group("RSLC/metadata/orbit")
             times = orbit.create_dataset("time", data=o.times)
             times.attrs["units"] = "seconds since 2024-05-06 07:08:09"
@@ -159,6 +165,30 @@ class TestNisar:
             assert sensor_of_nisar(file, "/science/LSAR/RSLC/swaths/zeroDopplerTime") is None
             with pytest.raises(InputError, match="lacks what says where it lies"):
                 sensor_of_nisar(file, "/science/LSAR/RSLC/swaths/frequencyB/HH")
+
+    def test_the_file_is_located_by_it(self, path: Path) -> None:
+        source = open_source(f"{path}:/science/LSAR/RSLC/swaths/frequencyA/HH")
+        assert source.shape == SHAPE
+        assert source.geolocation is not None
+        agrees(source.geolocation.sensor)
+
+
+def test_a_sicd_is_read_in_windows_with_its_projection(tmp_path: Path) -> None:
+    pytest.importorskip("sarkit")
+    rng = np.random.default_rng(0)
+    samples = (rng.normal(size=(80, 60)) + 1j * rng.normal(size=(80, 60))).astype(np.complex64)
+    view = RangeDoppler.over((12.0, 47.0), (80, 60), incidence_deg=35.0, heading_deg=-12.0, pixel=3.0, height=400.0)
+    write_sicd(tmp_path / "scene.nitf", samples, view, 400.0)
+    source = open_source(tmp_path / "scene.nitf")
+    # Rows of a SICD are range, which runs along x in the simulation.
+    assert source.shape == (60, 80)
+    np.testing.assert_array_equal(source.read(Window(7, 5, 40, 30)).pixels, samples.T[5:35, 7:47])
+    sensor = sensor_of(source.geolocation, source.shape, "scene")
+    assert isinstance(sensor, SicdSensor)
+    points = np.array([[0.0, 0.0], [79.0, 59.0], [30.5, 20.25]])
+    for height in (0.0, 3000.0):
+        ground = view.image_to_ground(points[:, ::-1], height)
+        np.testing.assert_allclose(sensor.ground_to_image(ground, height), points, atol=1e-3)
 
 
 def test_state_vectors_around_an_image() -> None:
