@@ -51,6 +51,7 @@ def match(
     method: str | Pipeline | Matcher = DEFAULT_METHOD,
     model: str | type[Model] | None = None,
     seed: int = 0,
+    locate: bool | None = None,
     refine: bool | None = None,
     n_features: int | None = None,
     initial: Any = None,
@@ -85,7 +86,8 @@ def match(
     model : "translation", "rigid", "similarity", "affine" (default), "homography", "polynomial2", "polynomial3",
         "residual-field"; "rpc-bias" in blocks
     seed : of everything random; the same seed gives the same result
-    refine : guided sub-pixel tie points after the first model; None leaves it to the method
+    locate : measure the positions of the matches again after the first model; None leaves it to the method
+    refine : guided sub-pixel tie points after that; None leaves it to the method
     n_features : at most so many features per image and so many final tie points (default 5000)
     initial, search_radius : a model known beforehand, or a matrix, and how far from it, in px, a match may lie
     reference_mask, secondary_mask : pixels that are data: arrays, mask files or polygons
@@ -127,7 +129,7 @@ def match(
     _check_running(workers=workers, threads=threads, executor=executor, progress=progress, cancel=cancel)
     known = _initial(initial, search_radius)
     search: Any = {"seed": int(seed), "initial": known, "search_radius": search_radius}
-    parts: Any = {"model": model, "refine": refine, "n_features": n_features, **keywords}
+    parts: Any = {"model": model, "locate": locate, "refine": refine, "n_features": n_features, **keywords}
     size = block_side(block, dem, height, model)
     most = MOST_PIXELS if size is None else math.inf
     given, masks = (reference, secondary), (reference_mask, secondary_mask)

@@ -22,7 +22,8 @@ class Preset:
     Or a choice of methods: `methods` names those that are tried in order until one is trusted, and the other fields say
     nothing.
 
-    `filters` run in order; `refine` says whether refinement is on unless asked otherwise; `common_rotation` is that of
+    `filters` run in order; `locate` and `refine` say whether matches are measured again, and whether refinement is on,
+    unless asked otherwise; `common_rotation` is that of
     `FeatureMatcher`; `model` is fitted unless another is asked for (None: the package's default); `robust` is that of
     `Pipeline`; `trust` and `refinement` hold what differs from the defaults of `featreg.pipeline.trust.Limits` and
     `featreg.pipeline.refine.Refine`.
@@ -34,6 +35,7 @@ class Preset:
     nearest: Part | None = None
     matcher: Part | None = None
     filters: tuple[Part, ...] = (Part("gms"), Part("fsc"))
+    locate: bool = True
     refine: bool = True
     common_rotation: bool = True
     model: str | None = None
@@ -96,6 +98,7 @@ def _opencv(name: str, *, ratio: float = 1.0) -> Preset:
         detector=Part(name),
         nearest=Part("brute-force", {"mutual": False, "ratio": ratio}),
         filters=(Part("fsc"),) if ratio < 1 else (Part("gms"), Part("fsc")),
+        locate=False,
     )
 
 
@@ -125,6 +128,7 @@ def _targets(tie_points: str, summary: str, *, refine: bool) -> Preset:
         summary,
         matcher=Part("target-centroids", {"tie_points": tie_points}),
         filters=(_FROM_CONSENSUS,),
+        locate=False,
         refine=refine,
         model="rigid",
         trust={**_TARGETS_TRUST, **_REFINED_TRUST, "significance": _SIGNIFICANCE[tie_points]}
@@ -140,6 +144,7 @@ def _paper_obcls(matcher: Part, summary: str, *, cancellation: bool = True) -> P
         summary,
         matcher=matcher,
         filters=(Part("mad", {"threshold": "mad", "cancellation": cancellation}),),
+        locate=False,
         refine=False,
         model="rigid",
         robust=False,
@@ -163,7 +168,12 @@ _DENSE_TRUST = {"uncertainty_px": 3.5, "held_out_px": 3.0}
 def _kornia(summary: str, detector: Part, descriptor: Part | None, nearest: Part) -> Preset:
     """Parts of kornia; its ways of matching have tests of their own, which stand for GMS."""
     return Preset(
-        f"{summary}, by kornia", detector=detector, descriptor=descriptor, nearest=nearest, filters=(Part("fsc"),)
+        f"{summary}, by kornia",
+        detector=detector,
+        descriptor=descriptor,
+        nearest=nearest,
+        filters=(Part("fsc"),),
+        locate=False,
     )
 
 
@@ -186,6 +196,7 @@ PRESETS: Mapping[str, Preset] = {
         detector=Part("sar-ofast", _PAPER_OFAST),
         descriptor=Part("brief", _PAPER_BRIEF),
         nearest=Part("brute-force", {"mutual": False}),
+        locate=False,
         refine=False,
         common_rotation=False,
     ),
@@ -201,6 +212,7 @@ PRESETS: Mapping[str, Preset] = {
         descriptor=Part("ratio-gloh", {"soft": False, "harmonics": 4}),
         nearest=Part("brute-force", {"mutual": False, "ratio": 0.8}),
         filters=(Part("ransac"),),
+        locate=False,
         refine=False,
         common_rotation=False,
     ),
@@ -216,6 +228,7 @@ PRESETS: Mapping[str, Preset] = {
         descriptor=Part("gabor-odd", {"orientations": 6, "harmonics": 4}),
         nearest=Part("brute-force", {"mutual": False, "ratio": 0.85}),
         filters=(Part("ransac"),),
+        locate=False,
         refine=False,
         common_rotation=False,
     ),
@@ -231,6 +244,7 @@ PRESETS: Mapping[str, Preset] = {
         descriptor=Part("gabor-odd", {**_MULTI_SCALE, "orientations": 6, "harmonics": 4}),
         nearest=Part("brute-force", {"mutual": False, "ratio": 0.85}),
         filters=(Part("ransac"),),
+        locate=False,
         refine=False,
         common_rotation=False,
     ),
@@ -246,6 +260,7 @@ PRESETS: Mapping[str, Preset] = {
         descriptor=Part("bf-sift", {**_PAPER_BILATERAL, "coarser": 1.0, "harmonics": 4}),
         nearest=Part("brute-force"),
         filters=(Part("ransac"),),
+        locate=False,
         refine=False,
         common_rotation=False,
     ),
@@ -259,6 +274,7 @@ PRESETS: Mapping[str, Preset] = {
         "RIFT's features at several ratios of the scales, for an optical and a SAR image at any rotation, FSC",
         matcher=Part("scale-search"),
         filters=(Part("fsc", {"threshold": 4.0}),),
+        locate=False,
         refine=False,
         model="similarity",
         trust=_SEARCHED_TRUST,
@@ -276,6 +292,7 @@ PRESETS: Mapping[str, Preset] = {
         descriptor=Part("max-index-map", _PAPER_INDEX_MAP),
         nearest=Part("brute-force", {"mutual": False}),
         filters=(Part("fsc"),),
+        locate=False,
         refine=False,
         common_rotation=False,
     ),
@@ -290,6 +307,7 @@ PRESETS: Mapping[str, Preset] = {
         "Amplitude correlation of patches on a uniform grid, outlier cancellation",
         matcher=Part("patch-grid"),
         filters=(_FROM_CONSENSUS,),
+        locate=False,
         model="rigid",
         trust=_REFINED_TRUST,
         refinement=_FEW_WINDOWS,
@@ -378,6 +396,7 @@ PRESETS: Mapping[str, Preset] = {
         "Any matcher of vismatch by its name (matcher.network), FSC",
         matcher=Part("vismatch"),
         filters=(Part("fsc"),),
+        locate=False,
     ),
-    "kornia-loftr": Preset("LoFTR, by kornia", matcher=Part("kornia-loftr"), filters=(Part("fsc"),)),
+    "kornia-loftr": Preset("LoFTR, by kornia", matcher=Part("kornia-loftr"), filters=(Part("fsc"),), locate=False),
 }

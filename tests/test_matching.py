@@ -50,7 +50,7 @@ def test_a_pair_is_registered(pair: SimulatedPair, refine: bool) -> None:
     found = run(pair, refine=refine)
     assert found.status == "ok", found.reason
     assert grid_rmse(found, pair.truth) < (0.25 if refine else 0.6)
-    assert list(found.stages) == (["gms", "fsc", "refine"] if refine else ["gms", "fsc"])
+    assert list(found.stages) == ["gms", "fsc", "locate", *(["refine"] if refine else [])]
     assert not (found.stages["fsc"] & ~found.stages["gms"]).any()
     assert {"read", "detect", "describe", "match", "gms", "fsc", "model", "trust"} <= set(found.timings)
     assert all(seconds >= 0 for seconds in found.timings.values())
@@ -67,6 +67,7 @@ def test_refinement_appends_rows_and_moves_none(pair: SimulatedPair) -> None:
     added = refined.stages["refine"]
     assert added[m:].all()
     assert not added[:m].any()
+    np.testing.assert_array_equal(refined.stages["locate"][:m], plain.stages["locate"])
     assert not refined.stages["fsc"][m:].any()
     np.testing.assert_array_equal(refined.stages["gms"][:m], plain.stages["gms"])
     came = refined.matches.origin[m:]
@@ -81,7 +82,7 @@ def test_refined_tie_points_are_better_than_plain_ones(pair: SimulatedPair) -> N
         found = run(pair, refine=refine)
         final = found.matches.take(found.inliers)
         rms.append(float(np.sqrt((Affine(pair.truth).residuals(final.reference_xy, final.secondary_xy) ** 2).mean())))
-    assert rms[1] < 0.6 * rms[0]
+    assert rms[1] < 0.75 * rms[0]
     assert rms[1] < 0.4
 
 
@@ -89,7 +90,7 @@ def test_refined_tie_points_are_better_than_plain_ones(pair: SimulatedPair) -> N
 @pytest.mark.parametrize("method", ["sar-orb", "orb"])
 def test_the_budget_holds_for_features_and_final_points(pair: SimulatedPair, method: str, n_features: int) -> None:
     found = run(pair, method=method, n_features=n_features)
-    putative = len(found.matches) - int(found.stages["refine"].sum())
+    putative = int(found.putative.sum())
     assert 0 < putative <= n_features
     assert found.inliers.sum() <= n_features
     final = found.matches.reference_xy[found.inliers]
@@ -351,7 +352,9 @@ def test_matches_far_from_the_initial_model_are_dropped_first(pair: SimulatedPai
     assert next(iter(found.stages)) == "initial"
     known = Affine(pair.truth)
     distance = known.residuals(found.matches.reference_xy, found.matches.secondary_xy)
-    np.testing.assert_array_equal(found.stages["initial"], distance <= 4.0)
+    np.testing.assert_array_equal(found.stages["initial"], (distance <= 4.0) & found.putative)
+    # Only what survived is measured again.
+    assert found.stages["initial"][found.matches.origin[found.stages["locate"]]].all()
     assert found.status == "ok"
     assert "prior" in found.gates
 

@@ -80,10 +80,10 @@ made = [
 ]
 scene = made[0]
 assert scene.status == whole.status == "ok", (scene.reason, whole.reason)
-assert list(scene.stages) == ["prior", "gms", "initial", "outside-agreement", "refine"], list(scene.stages)
+assert list(scene.stages) == ["prior", "gms", "initial", "outside-agreement", "locate", "refine"], list(scene.stages)
 assert scene.provenance["parameters"]["detector"]["spacing"] == 2
 assert whole.provenance["parameters"]["detector"]["spacing"] == 3
-assert featreg.evaluate(scene, pair.truth).stage == "initial"
+assert featreg.evaluate(scene, pair.truth).stage == "locate"
 assert np.array_equal(made[0].matches.reference_xy, made[1].matches.reference_xy)
 windows = featreg.match(pair.reference, pair.secondary, method="sar-orb", matcher="outside-windows", block=260,
                         filters="outside-agreement", workers=1, initial=np.eye(3), search_radius=30.0)

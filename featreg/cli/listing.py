@@ -54,6 +54,7 @@ class Item:
 
         if self.kind != "method":
             return dict(registry.entry(self.kind, self.name).declared)
+        from featreg.pipeline.locate import Locate
         from featreg.pipeline.refine import Refine
         from featreg.pipeline.trust import Limits
         from featreg.presets import PRESETS
@@ -64,7 +65,7 @@ class Item:
             return {}  # those of each method are listed under its own name
         parts = {role: registry.entry(role, part.name).declared for role, part in preset.parts}
         parts |= {part.name: registry.entry("filter", part.name).declared for part in preset.filters}
-        parts |= {"refine": declared(Refine), "trust": declared(Limits)}
+        parts |= {"locate": declared(Locate), "refine": declared(Refine), "trust": declared(Limits)}
         return {f"{part}.{key}": value for part, known in parts.items() for key, value in known.items()}
 
 
@@ -143,7 +144,7 @@ def _in_full(item: Item) -> str:
     for part, values in parameters.items():
         if isinstance(values, Mapping):
             # A method's record has "refinement" beside the switch "refine".
-            role = "refine" if part == "refinement" else part
+            role = {"locating": "locate", "refinement": "refine"}.get(part, part)
             what = values.get("name", "")
             lines.append(f"    {'filter' if what == role else role}: {what}".removesuffix(": "))
             lines += _values({key: value for key, value in values.items() if key != "name"}, known, f"{role}.", 6)

@@ -115,6 +115,14 @@ class MethodOptions:
             show_default="5000, in blocks 1000",
         ),
     ] = None
+    locate: Annotated[
+        bool | None,
+        typer.Option(
+            "--locate/--no-locate",
+            help="Measure the positions of the matches again after the first model.",
+            show_default="as the method has it",
+        ),
+    ] = None
     refine: Annotated[
         bool | None,
         typer.Option(
@@ -145,7 +153,8 @@ class MethodOptions:
 
     def keywords(self) -> dict[str, Any]:
         """Those that are keywords of `featreg.match` and of a protocol alike."""
-        names = ("model", "n_features", "refine", "scale", "nodata", "band", "reference_band", "secondary_band")
+        of_method = ("model", "n_features", "locate", "refine")
+        names = (*of_method, "scale", "nodata", "band", "reference_band", "secondary_band")
         return {name: getattr(self, name) for name in names}
 
 

@@ -15,6 +15,7 @@ from featreg.pictures.panels import Gray, checkerboard, display, overlay, views_
 from featreg.pictures.sheet import FAINT, INK, Colour, Lines, Note, Sheet, checked_target
 from featreg.pictures.spread import spread_out
 from featreg.results.registration import Registration
+from featreg.results.stages import MEASURED
 from featreg.study.truth import Truth, TruthLike, read_truth
 from featreg.types import BoolArray, FloatArray, Image
 
@@ -190,12 +191,12 @@ def _groups(registration: Registration, truth: Truth | None, threshold: float) -
     """The tie points in two groups, those to be drawn below first."""
     matches, accepted = registration.matches, registration.inliers
     if truth is None:
-        rejected = ~accepted
-        # the match that an accepted point was refined from lives on in it
+        rejected = registration.putative & ~accepted
+        # the match that an accepted point was measured anew from lives on in it
         rejected[matches.origin[accepted & (matches.origin >= 0)]] = False
         if "refine" in registration.stages and not (matches.origin[accepted] >= 0).any():
             # refined points of their own, as those of blocks: what the filters kept was not rejected
-            filters = [mask for name, mask in registration.stages.items() if name != "refine"]
+            filters = [mask for name, mask in registration.stages.items() if name not in MEASURED]
             rejected &= ~filters[-1] if filters else False
         return [_Group("rejected", BAD, BAD_INK, rejected), _Group("accepted", GOOD, GOOD_INK, accepted)]
     kept = list(registration.stages.values())[-1] if registration.stages else np.ones(len(matches), bool)

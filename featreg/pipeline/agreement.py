@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.interfaces import Model
-from featreg.pipeline.refine import resampled
+from featreg.pipeline.aligned import resampled
 from featreg.sar.correlation import Peaks, local_correlations, peaks
 from featreg.sar.speckle import despeckled
 from featreg.types import BoolArray, FloatArray, Image, IntArray

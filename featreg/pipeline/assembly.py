@@ -15,6 +15,7 @@ from featreg.errors import ParameterError
 from featreg.interfaces import Descriptor, Detector, Filter, Matcher, Model, Nearest
 from featreg.pipeline import keywords as declared
 from featreg.pipeline.feature_matcher import FeatureMatcher
+from featreg.pipeline.locate import Locate
 from featreg.pipeline.pipeline import Pipeline
 from featreg.pipeline.refine import Refine
 from featreg.pipeline.trust import Limits
@@ -74,6 +75,7 @@ def assemble(
     *,
     model: str | type[Model] | None = None,
     refine: bool | None = None,
+    locate: bool | None = None,
     n_features: int | None = None,
     blocks: bool | None = False,
     **keywords: Any,
@@ -84,7 +86,7 @@ def assemble(
     ----------
     method : a preset's name, a `Matcher` (given the default filters), or a `Pipeline` (to which no keyword is added)
     model : name or class of the geometric model
-    refine : whether to refine; None leaves it to the preset
+    refine, locate : whether to refine, and to measure the matches again before; None leaves it to the preset
     n_features : most features per image and most final tie points; in blocks, of each block
     blocks : whether it is to work in blocks: each plugin then has its `block_parameters`; None where it is not known
     keywords : ``detector``, ``descriptor``, ``nearest``, ``matcher`` (name or object), ``filters`` (list of names or
@@ -97,7 +99,8 @@ def assemble(
         An unknown name; a keyword that no part has, that more than one has, or that does nothing here.
     """
     if isinstance(method, Pipeline):
-        more = [k for k, v in (("model", model), ("refine", refine), ("n_features", n_features)) if v is not None]
+        own = {"model": model, "refine": refine, "locate": locate, "n_features": n_features}
+        more = [name for name, value in own.items() if value is not None]
         if more or keywords:
             raise ParameterError(f"a Pipeline takes no further keywords, got {', '.join([*more, *keywords])}")
         return method
@@ -112,7 +115,12 @@ def assemble(
         )
     common = preset.common_rotation if common is None else common
     check("common_rotation", common, bool)
-    return _assembled(name, preset, slots, model, refine, n_features, blocks, bool(common), given)
+    switches = {
+        # The positions of a matcher of its own may be what it is good at.
+        "locate": _switch("locate", preset.locate and "matcher" not in slots if locate is None else locate),
+        "refine": _switch("refine", preset.refine if refine is None else refine),
+    }
+    return _assembled(name, preset, slots, model, switches, n_features, blocks, bool(common), given)
 
 
 def assemble_all(method: str | Pipeline | Matcher = DEFAULT_METHOD, **keywords: Any) -> tuple[Pipeline, ...]:
@@ -135,7 +143,13 @@ def assemble_fit(*, model: str | type[Model] | None, filters: Any, **keywords: A
     of_match = [name for name in keywords if name in declared.BY_NAME]
     if of_match:
         raise ParameterError(f"{of_match[0]} is for featreg.match: the tie points of a fit are given")
-    return _assembled("tie points", preset, {}, model, False, None, False, False, {**keywords, "filters": filters})
+    none = {"locate": False, "refine": False}
+    return _assembled("tie points", preset, {}, model, none, None, False, False, {**keywords, "filters": filters})
+
+
+def _switch(name: str, value: Any) -> bool:
+    check(name, value, bool)
+    return bool(value)
 
 
 def _assembled(
@@ -143,7 +157,7 @@ def _assembled(
     preset: Preset,
     slots: dict[str, _Slot],
     model: str | type[Model] | None,
-    refine: bool | None,
+    switches: Mapping[str, bool],
     n_features: int | None,
     blocks: bool | None,
     common_rotation: bool,
@@ -153,9 +167,7 @@ def _assembled(
     steps = _filters(preset, keywords)
     robust = keywords.pop("robust", preset.robust)
     check("robust", robust, bool)
-    use = preset.refine if refine is None else refine
-    check("refine", use, bool)
-    refinement, limits = _route(keywords, {**slots, **steps}, preset, refine=bool(use), blocks=blocks)
+    locating, refinement, limits = _route(keywords, {**slots, **steps}, preset, switches, blocks)
     for slot in (*slots.values(), *steps.values()):
         for key, value in slot.entry.block_parameters.items() if blocks and slot.entry else ():
             slot.parameters.setdefault(key, value)
@@ -166,17 +178,19 @@ def _assembled(
     parameters: dict[str, Any] = {
         "n_features": budget,
         "model": registry.model_name(chosen),
-        "refine": bool(use),
+        **switches,
         "robust": bool(robust),
     }
     if isinstance(matcher, FeatureMatcher):
         parameters["common_rotation"] = matcher.common_rotation
     parameters |= {role: slot.record for role, slot in {**slots, **steps}.items()}
-    if use:
+    if locating is not None:
+        parameters["locating"] = _values(locating)
+    if refinement is not None:
         parameters["refinement"] = _values(refinement)
     parameters["trust"] = _values(limits)
     filters = tuple((step, slot.made) for step, slot in steps.items())
-    return Pipeline(matcher, filters, chosen, refinement if use else None, limits, budget, robust, name, parameters)
+    return Pipeline(matcher, filters, chosen, refinement, limits, budget, robust, name, parameters, locating)
 
 
 def _budget(n_features: int | None, usual: int) -> int:
@@ -258,11 +272,17 @@ def _filters(preset: Preset, keywords: dict[str, Any]) -> dict[str, _Slot]:
 
 
 def _route(
-    keywords: Mapping[str, Any], slots: Mapping[str, _Slot], preset: Preset, *, refine: bool, blocks: bool | None
-) -> tuple[Refine, Limits]:
+    keywords: Mapping[str, Any],
+    slots: Mapping[str, _Slot],
+    preset: Preset,
+    switches: Mapping[str, bool],
+    blocks: bool | None,
+) -> tuple[Locate | None, Refine | None, Limits]:
     """Give every keyword to the one part that has a parameter of that name."""
+    locating: dict[str, Any] = {}
     refinement, trust = dict(preset.refinement), dict(preset.trust)
     takers: dict[str, tuple[dict[str, Any], Iterable[str]]] = {
+        "locate": (locating, [f.name for f in fields(Locate)]),
         "refine": (refinement, [f.name for f in fields(Refine)]),
         "trust": (trust, [f.name for f in fields(Limits)]),
         **{role: (slot.parameters, slot.known) for role, slot in slots.items()},
@@ -270,14 +290,19 @@ def _route(
     for key, value in keywords.items():
         known = {role: names for role, (_, names) in takers.items()}
         owner, short = owner_of(key, known, "no part of this method", declared.BY_NAME)
-        if owner == "refine" and not refine and not slots.keys() & ROLES.keys():
-            raise ParameterError(f"'{key}' is for featreg.match: given tie points are not refined")
-        if owner == "refine" and not refine:
-            raise ParameterError(f"'{key}' does nothing without refinement: leave it out, or ask for it (refine=True)")
+        if owner in switches and not switches[owner]:
+            what, done = {"locate": ("locating", "located"), "refine": ("refinement", "refined")}[owner]
+            if not slots.keys() & ROLES.keys():
+                raise ParameterError(f"'{key}' is for featreg.match: given tie points are not {done}")
+            raise ParameterError(f"'{key}' does nothing without {what}: leave it out, or ask for it ({owner}=True)")
         if owner == "trust" and short in BLOCK_LIMITS and blocks is False:
             raise ParameterError(f"'{key}' is a limit of scenes in blocks, these are whole images: leave it out")
         takers[owner][0][short] = value
-    return Refine(**refinement), Limits(**trust)
+    return (
+        Locate(**locating) if switches["locate"] else None,
+        Refine(**refinement) if switches["refine"] else None,
+        Limits(**trust),
+    )
 
 
 def _matcher(slots: Mapping[str, _Slot], budget: int, common_rotation: bool) -> Matcher:

@@ -35,6 +35,7 @@ class Keyword:
 KEYWORDS = (
     Keyword("method", "method", "--method"),
     Keyword("model", "method", "--model"),
+    Keyword("locate", "method", "--locate or --no-locate"),
     Keyword("refine", "method", "--refine or --no-refine"),
     Keyword("n_features", "method", "--n-features"),
     Keyword("detector", "part"),

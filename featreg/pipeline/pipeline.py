@@ -16,8 +16,19 @@ from featreg.pipeline.feature_matcher import FeatureMatcher
 from featreg.pipeline.frame import Frame, stated_frame
 from featreg.pipeline.identical import identical_pixels, stands_still
 from featreg.pipeline.inputs import input_image, pixel_ratio, with_hints
+from featreg.pipeline.locate import Locate
 from featreg.pipeline.refine import Refine
-from featreg.pipeline.steps import Draft, counted_from, filtered, fitted, judged, model_counted_back, refined
+from featreg.pipeline.steps import (
+    Draft,
+    before_global,
+    counted_from,
+    filtered,
+    fitted,
+    judged,
+    located,
+    model_counted_back,
+    refined,
+)
 from featreg.pipeline.trust import Limits
 from featreg.results.losses import image_words
 from featreg.results.registration import Registration
@@ -27,8 +38,8 @@ from featreg.runtime.watching import Progress, Steps
 from featreg.sar.bridging import bridged, on_samples
 from featreg.types import BoolArray, FloatArray, Gate, Image, Matches
 
-#: What `Pipeline.run` counts as one each: tie points, filters, model, refinement, judgement.
-STEPS = 5
+#: What `Pipeline.run` counts as one each: tie points, filters, model, locating, refinement, judgement.
+STEPS = 6
 
 
 @dataclass(frozen=True)
@@ -47,6 +58,7 @@ class Pipeline:
         points where these are known, or plain least squares
     name : of the method, for the record
     parameters : every parameter, for the record
+    locate : how the matches are measured again after the first model, or None
     """
 
     matcher: Matcher | None
@@ -58,6 +70,7 @@ class Pipeline:
     robust: bool = True
     name: str = "custom"
     parameters: Mapping[str, Any] = field(default_factory=dict)
+    locate: Locate | None = None
 
     def run(
         self,
@@ -141,6 +154,14 @@ class Pipeline:
                 seen = zip(("reference", "secondary"), records, strict=True)
                 draft = draft.without_model("; ".join(image_words(role, image) for role, image in seen))
             steps.advance()
+            if self.locate is not None:
+                with stage("locate"):
+                    at = Matches.empty()
+                    if draft.model:
+                        kept = self.to_locate(draft.stages, len(matches))
+                        at = self.locate.run(reference, secondary, draft.model, matches, np.flatnonzero(kept))
+                    draft = located(draft, at, self.n_features)
+            steps.advance()
             useful = None
             if self.refine is not None:
                 with stage("refine"):
@@ -210,6 +231,15 @@ class Pipeline:
         context = FilterContext(reference_shape, secondary_shape, self.model, rng, initial, pixel_ratio)
         return filtered(matches, left, context, stages)
 
+    def to_locate(self, stages: Mapping[str, BoolArray], count: int) -> BoolArray:
+        """(M,) tie points of `count` that are measured again: those of every stage before the first global filter."""
+        return before_global(stages, self.global_filters, count)
+
+    @property
+    def global_filters(self) -> list[str]:
+        """Names of the filters that look at all tie points at once."""
+        return [name for name, keeper in self.filters if not keeper.local]
+
     @property
     def block_filters(self) -> tuple[tuple[str, Filter], ...]:
         """The filters that a scene may run block by block: those before the first that looks at all tie points."""
@@ -254,7 +284,7 @@ class Pipeline:
             "method": self.name,
             "seed": seed,
             "parameters": dict(self.parameters),
-            "global_filters": [name for name, keeper in self.filters if not keeper.local],
+            "global_filters": self.global_filters,
             "versions": versions(),
         }
         return Registration(

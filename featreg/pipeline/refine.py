@@ -12,17 +12,15 @@ from numpy.typing import NDArray
 
 from featreg.geometry.robust import irls
 from featreg.interfaces import FailedFit, Model
+from featreg.pipeline.aligned import MARGIN, WholeWindows, halved, peak_covariance, resampled, variance_factor
 from featreg.runtime.parameters import Positive, checked
 from featreg.sar.bridging import on_sample
 from featreg.sar.correlation import Peaks, local_correlations, peaks
-from featreg.sar.pyramid import clear
 from featreg.sar.speckle import despeckled
 from featreg.types import BoolArray, FloatArray, Image, IntArray, Matches
 
 F32 = NDArray[np.float32]
 
-# Pixels beyond the window that must be valid too: the shifts of the second pass, and interpolation.
-MARGIN = 4
 # Points measured in the first pass, and rounds of each robust fit.
 SAMPLE = 1000
 ROUNDS = 6
@@ -97,7 +95,7 @@ class Refine:
         here, there = despeckled(reference, self.sigma), despeckled(secondary, self.sigma)
         aligned = resampled(there, model, reference.shape)
         small = halved(here), halved(aligned)
-        usable = self._usable(reference, secondary, model)
+        usable = WholeWindows(reference, secondary, model, self.half)
         seeds, origin = self._seeds(small[0], usable, matches, n_features)
         # Pass one: at half size, a sample of the points.
         some = seeds[:: max(1, len(seeds) // SAMPLE)]
@@ -107,7 +105,7 @@ class Refine:
             return none
         # Pass two: at full size around the better model.
         if _distance(first, model, reference.shape) > 1:
-            inside = self._usable(reference, secondary, first)(seeds)
+            inside = WholeWindows(reference, secondary, first, self.half)(seeds)
             seeds, origin = seeds[inside], origin[inside]
         aligned = resampled(there, first, reference.shape)
         fine = self._measure(here, aligned, seeds, self.half, 2)
@@ -121,10 +119,10 @@ class Refine:
         keep &= final.residuals(here_xy, there_xy) <= self.max_residual
         keep &= on_sample(there_xy, secondary)
         here_xy, there_xy = here_xy[keep], there_xy[keep]
-        height, curvature = fine.height[keep], fine.curvature[keep]
-        covariance = np.maximum(1 - height**2, 1e-6)[:, None, None] * np.linalg.inv(curvature)
-        covariance *= _variance_factor(there_xy - final(here_xy), covariance)
-        refined = Matches(here_xy, there_xy, height, covariance, origin[keep])
+        found = fine.take(keep)
+        covariance = peak_covariance(found, first, here_xy)
+        covariance *= variance_factor(there_xy - final(here_xy), covariance)
+        refined = Matches(here_xy, there_xy, found.height, covariance, origin[keep])
         return Refined(refined, final, len(seeds), correlated, measured)
 
     def _measure(self, first: F32, second: F32, at: IntArray, half: int, search: int) -> Peaks:
@@ -151,31 +149,6 @@ class Refine:
         model, weights = irls(kind, here, there, weights=prior / prior.max(), scale_px=0.05, iterations=ROUNDS)
         return model, there, usable & (weights > 0)
 
-    def _usable(self, reference: Image, secondary: Image, model: Model) -> Callable[[IntArray], BoolArray]:
-        """A test of points: whether the whole window and search range around each is valid in both images.
-
-        Bridged samples may lie in the window, but not at the point itself.
-        """
-        reach = self.half + MARGIN
-        here = clear(reference, reach)
-        height, width = secondary.shape
-        corners = np.array([[-reach, -reach], [reach, -reach], [-reach, reach], [reach, reach]], np.float64)
-        there = None if secondary.all_valid else clear(secondary, MARGIN)
-
-        def test(xy: IntArray) -> BoolArray:
-            good = here[xy[:, 1], xy[:, 0]] & on_sample(xy, reference)
-            if secondary.filled is not None:
-                good[good] = on_sample(model(xy[good].astype(np.float64)), secondary)
-            around = model((xy[good][:, None, :] + corners).reshape(-1, 2)).reshape(-1, 4, 2)
-            inside = np.asarray(((around >= 0) & (around <= [width - 1, height - 1])).all(axis=(1, 2)))
-            if there is not None:
-                # Between the corners too: the rim of nodata may bend into the window.
-                inside[inside] = _all_clear(there, model, xy[good][inside], reach)
-            good[good] = inside
-            return good
-
-        return test
-
     def _seeds(
         self, small: F32, usable: Callable[[IntArray], BoolArray], matches: Matches, budget: int
     ) -> tuple[IntArray, IntArray]:
@@ -192,31 +165,6 @@ class Refine:
         _, first = np.unique(at[:, 1] * width + at[:, 0], return_index=True)
         first = np.sort(first)[:budget]
         return at[first], origin[first]
-
-
-def resampled(view: F32, model: Model, shape: tuple[int, int]) -> F32:
-    """Return the map `view` of the secondary on the (H, W) grid of the reference; its rim goes on outside it."""
-    import cv2
-
-    size = (shape[1], shape[0])
-    flags, border = cv2.INTER_LINEAR, cv2.BORDER_REPLICATE
-    matrix = model.matrix
-    if matrix is not None and np.array_equal(matrix[2], [0, 0, 1]):
-        warped = cv2.warpAffine(view, matrix[:2], size, flags=flags | cv2.WARP_INVERSE_MAP, borderMode=border)
-    else:
-        x, y = np.meshgrid(np.arange(shape[1], dtype=np.float64), np.arange(shape[0], dtype=np.float64))
-        grid = model(np.column_stack([x.ravel(), y.ravel()])).reshape(*shape, 2).astype(np.float32)
-        warped = cv2.remap(view, grid[..., 0], grid[..., 1], flags, borderMode=border)
-    return np.asarray(warped, np.float32)
-
-
-def halved(image: F32) -> F32:
-    """Half the size by averaging 2 x 2 pixels; an odd last row or column is left out."""
-    import cv2
-
-    height, width = image.shape[0] // 2, image.shape[1] // 2
-    small = cv2.resize(image[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
-    return np.asarray(small, np.float32)
 
 
 def strongest_of_cells(view: F32, count: int, margin: int) -> IntArray:
@@ -238,25 +186,8 @@ def strongest_of_cells(view: F32, count: int, margin: int) -> IntArray:
     return np.column_stack([x.ravel(), y.ravel()]).astype(np.int64)
 
 
-def _all_clear(clear_map: BoolArray, model: Model, xy: IntArray, reach: int) -> BoolArray:
-    """Whether a 7 x 7 lattice over the window around each point maps to pixels that are clear."""
-    steps = np.linspace(-reach, reach, 7)
-    lattice = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
-    at = np.rint(model((xy[:, None, :] + lattice).reshape(-1, 2))).astype(np.int64)
-    at = np.clip(at, 0, [clear_map.shape[1] - 1, clear_map.shape[0] - 1])
-    return np.asarray(clear_map[at[:, 1], at[:, 0]].reshape(len(xy), len(lattice)).all(axis=1))
-
-
 def _distance(first: Model, second: Model, shape: tuple[int, int]) -> float:
     """Largest distance in pixels between two models at the corners of the reference."""
     height, width = shape
     corners = np.array([[0, 0], [width - 1, 0], [0, height - 1], [width - 1, height - 1]], np.float64)
     return float(np.hypot(*(first(corners) - second(corners)).T).max())
-
-
-def _variance_factor(residuals: FloatArray, covariance: FloatArray) -> float:
-    """Factor that makes the median squared Mahalanobis length of the residuals what it is for two Gaussian errors."""
-    if not len(residuals):
-        return 1.0
-    squared = np.einsum("ni,nij,nj->n", residuals, np.linalg.inv(covariance), residuals)
-    return float(np.median(squared) / (2 * np.log(2)))

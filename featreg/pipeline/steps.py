@@ -1,4 +1,4 @@
-"""The four steps from tie points to a registration, each a pure function: filtered, fitted, refined, judged.
+"""The steps from tie points to a registration, each a pure function: filtered, fitted, located, refined, judged.
 
 A pair of whole images takes them in turn; a scene takes the first in every block and again over all, the others once
 over all.
@@ -6,14 +6,16 @@ over all.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import takewhile
 
 import numpy as np
 
 from featreg.geometry import inverse_variances
 from featreg.geometry.robust import irls
 from featreg.interfaces import FailedFit, Filter, FilterContext, Model
+from featreg.pipeline.aligned import variance_factor
 from featreg.pipeline.refine import Refined
 from featreg.pipeline.trust import Evidence, Limits, assess
 from featreg.results.losses import why_no_fit
@@ -24,6 +26,12 @@ from featreg.types import BoolArray, FloatArray, Gate, IntArray, Matches
 SCALE_PX = 0.3
 # Rounds of the robust fit; the consensus before it is near the answer.
 ROUNDS = 3
+# Located matches within this of the consensus are fitted again, and those within the second judge the fit, px.
+NEAR_PX, CHECK_PX = 3.0, 6.0
+# Errors of located matches below this are not told apart, px.
+LOCATED_SCALE_PX = 0.1
+# Least share of the consensus for which as many located matches must stand near it.
+LEAST_LOCATED = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +46,7 @@ class Draft:
     putative : (M,) rows of the matcher
     inliers : (M,) rows on which the model was fitted
     model : the best fit so far
-    measured : what a refinement measured, also what its fit left out; None without one
+    measured : what was measured by correlation at last, also what its fit left out; None where nothing was
     """
 
     matches: Matches
@@ -121,6 +129,64 @@ def fitted(
         return Draft(matches, stages, kept, np.ones(len(matches), np.bool_), inliers, model)
 
 
+def before_global(stages: Mapping[str, BoolArray], global_names: Collection[str], count: int) -> BoolArray:
+    """(M,) tie points of `count` that survived every stage before the first that looks at all of them at once."""
+    return survivors(dict(takewhile(lambda item: item[0] not in global_names, stages.items())), count)
+
+
+def located(draft: Draft, found: Matches, n_features: int) -> Draft:
+    """Append matches at their measured positions as the stage "locate", and fit the consensus again on them.
+
+    Parameters
+    ----------
+    draft : with the consensus in whose frame was measured, or none
+    found : located matches, whose `origin` names rows of the draft's; right and wrong ones
+    n_features : most inliers, best first
+
+    Notes
+    -----
+    The fit starts from those within `NEAR_PX` of the consensus. Where these are few, as between images whose
+    intensities do not compare, the model and its inliers stay what they were.
+    """
+    model = draft.model
+    refit: Model | FailedFit = FailedFit("nothing was located")
+    near, weights = np.zeros(0, np.int64), np.zeros(0)
+    if not isinstance(model, FailedFit) and len(found) and found.covariance is not None:
+        away = model.residuals(found.reference_xy, found.secondary_xy)
+        near = np.flatnonzero(away <= NEAR_PX)
+        if len(near) >= max(3 * model.minimum, 8, LEAST_LOCATED * np.count_nonzero(draft.inliers)):
+            here, there = found.reference_xy[near], found.secondary_xy[near]
+            known = inverse_variances(found.covariance[near])
+            refit, weights = irls(type(model), here, there, weights=known, scale_px=LOCATED_SCALE_PX, iterations=ROUNDS)
+    if isinstance(refit, FailedFit):
+        return _appended(draft, "locate", found)
+    used = near[weights > 0]
+    here, there = found.reference_xy, found.secondary_xy
+    covariance = found.covariance
+    if covariance is not None:
+        factor = variance_factor(there[used] - refit(here[used]), covariance[used])
+        found = replace(found, covariance=covariance * factor)
+    draft = _appended(draft, "locate", found)
+    rows = used[np.argsort(-found.score[used], kind="stable")]
+    rows = rows[_distinct_rows(here[rows])][:n_features]
+    inliers = np.zeros(len(draft.matches), np.bool_)
+    inliers[len(inliers) - len(found) + rows] = True
+    checks = found.take(refit.residuals(here, there) <= CHECK_PX)
+    return replace(draft, inliers=inliers, model=refit, measured=checks)
+
+
+def _appended(draft: Draft, name: str, found: Matches) -> Draft:
+    """A draft with more tie points, which are in no stage but `name`; points never move in place."""
+    added = np.ones(len(found), np.bool_)
+    stages = {other: np.concatenate([mask, ~added]) for other, mask in draft.stages.items()}
+    stages[name] = np.concatenate([np.zeros(len(draft.matches), np.bool_), added])
+    supported, putative, inliers = (
+        np.concatenate([mask, ~added]) for mask in (draft.supported, draft.putative, draft.inliers)
+    )
+    matches = draft.matches.appended(found) if len(found) else draft.matches
+    return replace(draft, matches=matches, stages=stages, supported=supported, putative=putative, inliers=inliers)
+
+
 def refined(draft: Draft, found: Refined | None, least: int = 0) -> Draft:
     """Append what a refinement found, and take its model; the draft's own stays where it found too little.
 
@@ -134,23 +200,10 @@ def refined(draft: Draft, found: Refined | None, least: int = 0) -> Draft:
     -----
     Points never move in place: the new rows are in no stage but "refine".
     """
-    useful = found is not None and bool(found.model) and len(found.matches) >= least
-    added = np.ones(len(found.matches) if useful and found is not None else 0, np.bool_)
-    before = np.zeros(len(draft.matches), np.bool_)
-    stages = {name: np.concatenate([mask, ~added]) for name, mask in draft.stages.items()}
-    stages["refine"] = np.concatenate([before, added])
-    supported, putative = (np.concatenate([mask, ~added]) for mask in (draft.supported, draft.putative))
-    if not useful or found is None:
-        return replace(draft, stages=stages, supported=supported, putative=putative)
-    return Draft(
-        draft.matches.appended(found.matches),
-        stages,
-        supported,
-        putative,
-        np.concatenate([before, added]),
-        found.model,
-        found.measured,
-    )
+    if found is None or not found.model or len(found.matches) < least:
+        return _appended(draft, "refine", Matches.empty())
+    more = _appended(draft, "refine", found.matches)
+    return replace(more, inliers=more.stages["refine"], model=found.model, measured=found.measured)
 
 
 def judged(

@@ -15,6 +15,7 @@ from featreg.errors import InputError
 from featreg.pictures.spread import spread_out
 from featreg.report.data import ReportEntry
 from featreg.results.registration import Registration
+from featreg.results.stages import MEASURED
 from featreg.study.evaluation import default_stage, stage_mask
 from featreg.types import BoolArray, FloatArray
 
@@ -136,8 +137,8 @@ def _lost_at(registration: Registration) -> NDArray[np.uint8]:
     """(M,) number of the first filter that dropped a tie point, counted from 1; 0 where none did."""
     lost = np.zeros(len(registration.matches), np.uint8)
     for k, (name, mask) in enumerate(registration.stages.items(), start=1):
-        # Refinement adds rows; that the others are not in its mask does not mean that it dropped them.
-        if name != "refine":
+        # These add rows; that the others are not in their mask does not mean that they were dropped.
+        if name not in MEASURED:
             lost[~mask & (lost == 0) & registration.putative] = min(k, 255)
     return lost
 

@@ -38,6 +38,8 @@ def explain_registration(registration: Registration) -> str:
     model = registration.model
     facts = [f"tried: {one['method']}, {one['status']}" for one in registration.provenance.get("tried", ())]
     facts += [f"tie points: {chain(int(registration.putative.sum()), kept)}, {int(registration.inliers.sum())} final"]
+    if "locate" in kept:
+        facts.append(f"located: {kept['locate'] or 'none'} of the matches, by windows that correlate")
     if "refine" in kept:
         facts.append(f"refinement: {kept['refine'] or 'no'} sub-pixel tie points around the first model")
     facts.append(f"model: none, {model.reason}" if isinstance(model, FailedFit) else f"model: {type(model).__name__}")
@@ -110,6 +112,7 @@ def _of_stages(registration: Registration) -> Iterator[Finding]:
     putative = left = int(registration.putative.sum())
     kept = {name: int(mask.sum()) for name, mask in registration.stages.items()}
     refined = kept.pop("refine", None)
+    kept.pop("locate", None)
     if putative < FEW_PUTATIVE and registration.stages:
         yield Finding(
             f"{putative or 'no'} putative tie points: the method found little to pair",

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from featreg.results.input_image import InputImage
+from featreg.results.stages import MEASURED
 
 #: What the tie points that a stage keeps have in common.
 STAGES: Mapping[str, str] = {
@@ -33,7 +34,7 @@ def chain(putative: int, kept: Mapping[str, int]) -> str:
     """
     said = [f"{putative} putative"]
     for name, count in kept.items():
-        if name != "refine":
+        if name not in MEASURED:
             said.append(f"{count} after {name}")
             if not count:
                 break

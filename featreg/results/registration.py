@@ -14,6 +14,7 @@ from featreg.interfaces import FailedFit, Model
 from featreg.results.explaining import explain_registration
 from featreg.results.input_image import InputImage
 from featreg.results.json_file import read_registration, tie_point_columns, write_registration
+from featreg.results.stages import MEASURED
 from featreg.results.standard_errors import standard_errors as rigid_errors
 from featreg.results.summary import one_line, summary
 from featreg.runtime.showing import Shown, figure_of
@@ -26,8 +27,8 @@ class Registration(Shown):
 
     Parameters
     ----------
-    matches : every tie point, refined ones appended at the end
-    stages : filter name -> (M,) bool, in the order in which the filters ran
+    matches : every tie point, located and refined ones appended at the end
+    stages : filter name -> (M,) bool, in the order in which the filters ran, then "locate" and "refine"
     inliers : (M,) bool, the final set, on which the model was fitted
     model : the best fit, kept also when it is not trusted; a falsy `FailedFit` where none could be made
     status : "ok" or "unreliable"
@@ -87,9 +88,12 @@ class Registration(Shown):
 
     @property
     def putative(self) -> BoolArray:
-        """(M,) bool, True for the tie points of the matcher, False for those that refinement appended."""
+        """(M,) bool, True for the tie points of the matcher, False for those that were appended to them."""
         mine = self.matches.origin < 0
-        return mine & ~self.stages["refine"] if "refine" in self.stages else mine
+        for name in MEASURED:
+            if name in self.stages:
+                mine = mine & ~self.stages[name]
+        return mine
 
     def residuals(self) -> FloatArray:
         """(M,) distance in pixels of each tie point from the model; NaN where there is no model."""

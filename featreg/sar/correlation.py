@@ -11,8 +11,8 @@ from featreg.types import BoolArray, FloatArray, IntArray
 
 F32 = NDArray[np.float32]
 
-#: Windows that together cover less than this share of the image are summed one by one.
-FEW = 0.7
+#: Windows that together cover less than so many times the image are summed one by one.
+FEW = 1.5
 
 
 @dataclass(frozen=True)
@@ -32,8 +32,14 @@ class Peaks:
     curvature: FloatArray
     sound: BoolArray
 
+    def take(self, rows: BoolArray) -> Peaks:
+        """Those of an (N,) bool mask."""
+        return Peaks(self.shift[rows], self.height[rows], self.curvature[rows], self.sound[rows])
 
-def local_correlations(first: F32, second: F32, xy: IntArray, half: int, search: int) -> FloatArray:
+
+def local_correlations(
+    first: F32, second: F32, xy: IntArray, half: int, search: int, there: IntArray | None = None
+) -> FloatArray:
     """Return the correlation coefficients of the windows around points, for every small shift.
 
     Parameters
@@ -42,12 +48,13 @@ def local_correlations(first: F32, second: F32, xy: IntArray, half: int, search:
     xy : (N, 2) int64 points, at least half + search + 1 pixels inside
     half : half the window; it is 2 * half + 1 pixels wide
     search : largest shift along x and y
+    there : (N, 2) int64 points of `second` around which is searched, as far inside; None for `xy`
 
     Returns
     -------
     (N, 2 * search + 1, 2 * search + 1) float64
         Element [i, search + dy, search + dx] for the window of `first` at xy[i] against that of `second` at
-        xy[i] + (dx, dy); 0 where a window is constant.
+        there[i] + (dx, dy); 0 where a window is constant.
     """
     import cv2
 
@@ -55,13 +62,15 @@ def local_correlations(first: F32, second: F32, xy: IntArray, half: int, search:
 
     order = np.argsort(xy[:, 1], kind="stable")
     xs, ys = np.ascontiguousarray(xy[order].T)
-    a = first - np.float32(cv2.mean(first)[0])
-    b = second - np.float32(cv2.mean(second)[0])
     side = 2 * half + 1
     found = np.empty((len(xy), 2 * search + 1, 2 * search + 1))
-    if len(xy) * side**2 < FEW * first.size:
-        correlation_kernels.correlations_of_few(a, b, xs, ys, half, search, found)
+    if there is not None or len(xy) * side**2 < FEW * first.size:
+        us, vs = (xs, ys) if there is None else np.ascontiguousarray(there[order].T)
+        correlation_kernels.correlations_of_few(first, second, xs, ys, us, vs, half, search, found)
         return _in_order(found, order)
+    # Running sums lose digits on a high level.
+    a = first - np.float32(cv2.mean(first)[0])
+    b = second - np.float32(cv2.mean(second)[0])
     mean = np.asarray(cv2.boxFilter(b, -1, (side, side)), np.float32)
     square = np.asarray(cv2.sqrBoxFilter(b, -1, (side, side)), np.float32)
     correlation_kernels.correlations(a, b, mean, square, xs, ys, half, search, found)
@@ -72,6 +81,40 @@ def _in_order(found: FloatArray, order: IntArray) -> FloatArray:
     back = np.empty_like(found)
     back[order] = found
     return back
+
+
+def peaks_uphill(
+    first: F32, second: F32, xy: IntArray, start: IntArray, centre: IntArray, half: int, search: int
+) -> Peaks:
+    """Return the peak that is reached uphill from a start, by whole pixels and at last to sub-pixel.
+
+    Parameters
+    ----------
+    first, second, xy, half : as in `local_correlations`
+    start : (N, 2) int64 px, shift (dx, dy) at which to begin
+    centre, search : (N, 2) int64 px; a shift stays within so much of it along x and y. Points lie at least half + 1
+        pixels inside, those of `second` (xy + centre) at least half + search + 2
+
+    Notes
+    -----
+    Where a start is right to a pixel, nine shifts are compared instead of all within the search.
+    """
+    found = np.zeros((len(xy), 3, 3))
+    low, high = centre - search, centre + search
+    now, left = np.clip(start, low, high), np.arange(len(xy))
+    for _ in range(2 * search):
+        some = local_correlations(first, second, xy[left], half, 1, xy[left] + now[left])
+        found[left] = some
+        best = some.reshape(-1, 9).argmax(axis=1)
+        step = now[left] + np.column_stack([best % 3 - 1, best // 3 - 1])
+        onward = (best != 4) & ((step >= low[left]) & (step <= high[left])).all(axis=1)
+        left = left[onward]
+        if not len(left):
+            break
+        now[left] = step[onward]
+    # A point that would leave the search has its peak on the rim of the 3 x 3 shifts, which is not sound.
+    at = peaks(found)
+    return Peaks(now + at.shift, at.height, at.curvature, at.sound)
 
 
 def peaks(correlations: FloatArray) -> Peaks:

@@ -11,6 +11,7 @@ import numpy as np
 from featreg.errors import ParameterError
 from featreg.interfaces import Matcher
 from featreg.io.window import Window
+from featreg.pipeline.locate import Locate
 from featreg.pipeline.refine import Refine
 
 #: Side of a block in pixels, as in the SAR-ORB paper (section 2.2).
@@ -31,9 +32,9 @@ class Block:
     window: Window
 
 
-def halo_of(matcher: Matcher, refine: Refine | None) -> int:
+def halo_of(matcher: Matcher, *measures: Locate | Refine | None) -> int:
     """Pixels read beyond a block on each side, so that points at its rim are described and measured whole."""
-    reach = max(float(matcher.reach), 0.0 if refine is None else refine.reach)
+    reach = max(float(matcher.reach), 0.0, *(float(one.reach) for one in measures if one is not None))
     if not math.isfinite(reach) or reach < 0:
         raise ParameterError(f"{type(matcher).__name__}.reach must be a number of pixels >= 0, got {matcher.reach!r}")
     return WHOLE * math.ceil(reach / WHOLE)

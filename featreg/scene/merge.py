@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -42,6 +42,8 @@ class Merged:
     refined_blocks : (R,) int64 block of each
     candidates : points that refinement looked at
     chance_shape : (H, W) of the area over which a wrong match may lie: the median of the windows searched
+    located : matches that were measured again; `origin` names rows of `matches`
+    located_blocks : (L,) int64 block of each
     """
 
     matches: Matches
@@ -51,6 +53,8 @@ class Merged:
     refined_blocks: IntArray
     candidates: int
     chance_shape: tuple[int, int]
+    located: Matches
+    located_blocks: IntArray
 
 
 def merge(results: Sequence[BlockResult], names: Sequence[str]) -> Merged:
@@ -62,6 +66,8 @@ def merge(results: Sequence[BlockResult], names: Sequence[str]) -> Merged:
         name: np.concatenate([np.zeros(0, np.bool_), *(r.stages[name] for r in ordered)]).astype(np.bool_)
         for name in names
     }
+    before = np.cumsum([0, *(len(r.matches) for r in ordered)])
+    located = [replace(r.located, origin=r.located.origin + n) for r, n in zip(ordered, before[:-1], strict=True)]
     return Merged(
         concatenated([r.matches for r in ordered]),
         stages,
@@ -70,6 +76,8 @@ def merge(results: Sequence[BlockResult], names: Sequence[str]) -> Merged:
         _repeated(ordered, [len(r.refined) for r in ordered]),
         sum(r.candidates for r in ordered),
         (round(float(middle[0])), round(float(middle[1]))),
+        concatenated(located),
+        _repeated(ordered, [len(r.located) for r in ordered]),
     )
 
 
@@ -193,6 +201,8 @@ def held_out_rmse(
     chess = np.array([(b.row + b.col) % 2 for b in blocks], np.int64)
     check_points, theirs = merged.refined, merged.refined_blocks
     if not len(check_points):
+        check_points, theirs = merged.located, merged.located_blocks
+    if not len(check_points):
         check_points, theirs = matches, owners
     near = model.residuals(check_points.reference_xy, check_points.secondary_xy) <= FAR_PX
     check_points, theirs = check_points.take(np.flatnonzero(near)), theirs[near]
@@ -213,12 +223,17 @@ def block_errors(merged: Merged, model: Model, count: int) -> FloatArray:
     """(count,) median distance in pixels of each block's own tie points from the model; NaN of blocks with too few.
 
     Those that the model's fit left out count as well, however far they lie: they were measured without that model.
-    Where no block was refined, those that the local filters kept speak, if over half of them move alike.
+    Where no block was refined, those that were located or else that the local filters kept speak, if over half of them
+    move alike.
     """
     refined = bool(len(merged.refined))
-    kept = survivors(merged.stages, len(merged.matches))
-    points = merged.refined if refined else merged.matches.take(np.flatnonzero(kept))
-    owners = merged.refined_blocks if refined else merged.blocks[kept]
+    if refined:
+        points, owners = merged.refined, merged.refined_blocks
+    elif len(merged.located):
+        points, owners = merged.located, merged.located_blocks
+    else:
+        kept = survivors(merged.stages, len(merged.matches))
+        points, owners = merged.matches.take(np.flatnonzero(kept)), merged.blocks[kept]
     away = points.secondary_xy - model(points.reference_xy)
     errors = np.full(count, np.nan)
     for block in np.unique(owners).tolist():

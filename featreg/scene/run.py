@@ -20,7 +20,7 @@ from featreg.io.raster_source import Source
 from featreg.pipeline.frame import linear_at
 from featreg.pipeline.inputs import input_image
 from featreg.pipeline.pipeline import Pipeline
-from featreg.pipeline.steps import refined
+from featreg.pipeline.steps import located, refined
 from featreg.results.losses import block_words, heights_words
 from featreg.results.registration import Registration
 from featreg.runtime.executors import TaskExecutor, open_executor
@@ -35,6 +35,7 @@ from featreg.scene.prior import Prior, corrected
 from featreg.scene.record import block_table, seconds_of, with_final
 from featreg.scene.state import BlockFiles, check_folder, digest_of
 from featreg.scene.task import BlockResult, Job, run_block
+from featreg.types import Matches
 
 #: Most and fewest pilot blocks.
 PILOTS = 9
@@ -214,7 +215,8 @@ def _job(
 ) -> Job:
     return Job(
         reference, secondary, matcher, pipeline.block_filters, pipeline.model, pipeline.refine, seed,
-        max(1, pipeline.n_features // count), halo_of(matcher, pipeline.refine), executor.own_process, initial,
+        max(1, pipeline.n_features // count), halo_of(matcher, pipeline.locate, pipeline.refine),
+        executor.own_process, initial, pipeline.locate,
     )  # fmt: skip
 
 
@@ -231,7 +233,12 @@ def _piloted(
     wider = [r for r in SEARCH_PX if r > first.uncertainty_px] if prior.stated else []
     for search in (first, *(replace(prior, uncertainty_px=radius) for radius in wider)):
         found = sorted(
-            (result for _, result in executor.run(run_block, (replace(job, refine=None), search), pilots, cancel)),
+            (
+                result
+                for _, result in executor.run(
+                    run_block, (replace(job, locate=None, refine=None), search), pilots, cancel
+                )
+            ),
             key=lambda result: result.index,
         )
         done = [r for r in found if r.status == "done"]
@@ -299,6 +306,7 @@ def _ingredients(
         "method": pipeline.name,
         "matcher": repr(job.matcher),
         "filters": [[name, repr(keeper)] for name, keeper in job.filters],
+        "locate": repr(job.locate),
         "refine": repr(job.refine),
         "parameters": pipeline.parameters,
         "model": None if model is None else [model[0].parameters, model[1]],
@@ -336,6 +344,10 @@ def _finished(
     stages = pipeline.filtered(matches, *shapes, before=merged.stages, **known)
     draft = pipeline.fitted(matches, stages, {"prior": ", ".join(part for part in (where, ground) if part)})
     draft = draft.without_model(block_words(table["status"], table["reason"]))
+    if pipeline.locate is not None:
+        with stage("locate"):
+            draft = located(draft, merged.located if draft.model else Matches.empty(), pipeline.n_features)
+        owners = np.concatenate([owners, merged.located_blocks])[: len(draft.matches)]
     if pipeline.refine is not None:
         with stage("refine"):
             found, mine = None, owners[:0]

@@ -17,6 +17,7 @@ from featreg.io.raster_source import Source, Window
 from featreg.pipeline.feature_matcher import FeatureMatcher
 from featreg.pipeline.frame import Frame, frame_of, linear_at
 from featreg.pipeline.inputs import local_scale
+from featreg.pipeline.locate import Locate
 from featreg.pipeline.refine import Refine
 from featreg.pipeline.steps import ROUNDS, SCALE_PX, filtered, survivors
 from featreg.runtime.timing import collecting, stage
@@ -24,7 +25,7 @@ from featreg.sar.bridging import bridged, on_samples
 from featreg.scene.blocks import Block
 from featreg.scene.prior import Prior
 from featreg.scene.window_model import WindowModel
-from featreg.types import BoolArray, FloatArray, Image, Matches
+from featreg.types import BoolArray, FloatArray, Image, IntArray, Matches
 
 #: Least share of a window's pixels that are data.
 LEAST_VALID = 0.05
@@ -69,6 +70,7 @@ class Job:
     halo: int
     own_process: bool = False
     initial: Model | None = None
+    locate: Locate | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +85,7 @@ class BlockResult:
     matches : its own putative tie points
     stages : name -> (M,) bool, of the prior and of each local filter, in their order
     refined : its own refined tie points
+    located : those of its matches that were measured again; `origin` names rows of `matches`
     candidates : points that refinement looked at
     window : of the secondary that was searched, or None
     seconds : by stage; of this run only
@@ -97,6 +100,7 @@ class BlockResult:
     candidates: int = 0
     window: Window | None = None
     seconds: Mapping[str, float] = field(default_factory=dict)
+    located: Matches = field(default_factory=Matches.empty)
 
     @property
     def supported(self) -> BoolArray:
@@ -151,10 +155,15 @@ def _matched(job: Job, prior: Prior, block: Block) -> BlockResult:
         off = np.hypot(*(predicted - own.secondary_xy).T)
         near = np.nan_to_num(off, nan=np.inf) <= prior.uncertainty_px * np.sqrt(2)
     stages = filtered(found, job.filters, context, {"prior": near})
-    refined, candidates = Matches.empty(), 0
-    if job.refine is not None:
-        local = _local_model(prior, here, there, frame, found.take(np.flatnonzero(survivors(stages, len(found)))))
-        if local is not None:
+    located, refined, candidates = Matches.empty(), Matches.empty(), 0
+    if job.locate is not None or job.refine is not None:
+        kept = np.flatnonzero(survivors(stages, len(found)))
+        local = _local_model(prior, here, there, frame, found.take(kept))
+        if job.locate is not None and local is not None:
+            with stage("locate"):
+                seen_at = job.locate.run(reference, secondary, local, found, kept)
+                located = _moved(seen_at if frame is None else frame.back(seen_at), here, there, seen_at.origin)
+        if job.refine is not None and local is not None:
             with stage("refine"):
                 seen = job.refine.run(reference, secondary, local, Matches.empty(), REFINED)
                 refined = seen.matches if frame is None else frame.back(seen.matches)
@@ -164,6 +173,10 @@ def _matched(job: Job, prior: Prior, block: Block) -> BlockResult:
     mine = np.flatnonzero(block.window.holds(matches.reference_xy))
     # Best first, so that the cap leaves out the least confident; equal scores stay in their order.
     mine = np.sort(mine[np.argsort(-np.nan_to_num(matches.score[mine]), kind="stable")][: job.n_features])
+    row_of = np.full(len(matches), -1)
+    row_of[mine] = np.arange(len(mine))
+    located = located.take(np.flatnonzero(row_of[located.origin] >= 0))
+    located = replace(located, origin=row_of[located.origin])
     return BlockResult(
         block.index,
         "done",
@@ -173,6 +186,7 @@ def _matched(job: Job, prior: Prior, block: Block) -> BlockResult:
         refined,
         candidates,
         there,
+        located=located,
     )
 
 
@@ -248,13 +262,13 @@ def _local_model(prior: Prior, here: Window, there: Window, frame: Frame | None,
     return Affine(linear.coefficients + np.column_stack([np.zeros((2, 2)), off]))
 
 
-def _moved(matches: Matches, here: Window, there: Window) -> Matches:
-    """Tie points of two windows in the coordinates of the scenes."""
+def _moved(matches: Matches, here: Window, there: Window, origin: IntArray | None = None) -> Matches:
+    """Tie points of two windows in the coordinates of the scenes; of no match unless `origin` says of which."""
     return replace(
         matches,
         reference_xy=matches.reference_xy + here.origin,
         secondary_xy=matches.secondary_xy + there.origin,
-        origin=np.full(len(matches), -1),
+        origin=np.full(len(matches), -1) if origin is None else origin,
     )
 
 
@@ -269,8 +283,8 @@ def columns_of(result: BlockResult) -> dict[str, NDArray[Any]]:
         "stages": np.array(list(result.stages), np.str_),
         "masks": np.array(list(result.stages.values()), np.bool_).reshape(len(result.stages), len(result.matches)),
     }
-    for part, matches in (("matches", result.matches), ("refined", result.refined)):
-        for name in ("reference_xy", "secondary_xy", "score", "covariance", "rotation", "scale_ratio"):
+    for part, matches in (("matches", result.matches), ("refined", result.refined), ("located", result.located)):
+        for name in ("reference_xy", "secondary_xy", "score", "covariance", "origin", "rotation", "scale_ratio"):
             values: FloatArray | None = getattr(matches, name)
             if values is not None:
                 out[f"{part}.{name}"] = values
@@ -280,7 +294,7 @@ def columns_of(result: BlockResult) -> dict[str, NDArray[Any]]:
 def from_columns(columns: Mapping[str, NDArray[Any]]) -> BlockResult:
     """The block of `columns_of`."""
     parts = {}
-    for part in ("matches", "refined"):
+    for part in ("matches", "refined", "located"):
         known = {k.partition(".")[2]: v for k, v in columns.items() if k.startswith(f"{part}.")}
         parts[part] = Matches(**known)
     window = columns["window"].tolist()
@@ -293,4 +307,5 @@ def from_columns(columns: Mapping[str, NDArray[Any]]) -> BlockResult:
         parts["refined"],
         int(columns["candidates"]),
         Window(*window) if window else None,
+        located=parts["located"],
     )

@@ -1,6 +1,7 @@
 """Scores of a registration against a known truth: pure functions of what a result holds.
 
-The measures are those of the SAR-ORB paper (section 3.1): NM, the matches that its filter keeps; NCM, those of them
+The measures are those of the SAR-ORB paper (section 3.1): NM, the matches that its filter keeps, at the positions
+measured last where they were located; NCM, those of them
 within 1.5 px of the truth; precision = NCM / NM; RMSE over the correct ones (Eq. 8); and the time. Beside them stands
 what the user of a registration wants to know: how far the fitted model lies from the truth over the whole image.
 """
@@ -21,6 +22,7 @@ from featreg.geometry import spread
 from featreg.interfaces import FailedFit
 from featreg.registry import entries
 from featreg.results.registration import Registration
+from featreg.results.stages import MEASURED
 from featreg.study.truth import Truth, TruthLike, read_truth
 from featreg.types import BoolArray, FloatArray, points
 
@@ -84,8 +86,9 @@ def evaluate(
     registration : what `match` returned, or was read from its JSON
     truth : see `featreg.study.truth.read_truth`
     threshold : px, greatest distance of a correct match
-    stage : a filter's name, "putative" or "inliers"; by default the last before the first filter that looks at all tie
-        points at once (FSC, RANSAC, MAD, ...), else all putative matches
+    stage : a filter's name, "locate", "refine", "putative" or "inliers"; by default "locate" where the method locates,
+        else the last before the first filter that looks at all tie points at once (FSC, RANSAC, MAD, ...), else all
+        putative matches
     image_shape : (H, W) of the reference, where the result does not say it
 
     Returns
@@ -131,7 +134,12 @@ def evaluate(
 
 
 def default_stage(registration: Registration) -> str:
-    """Return the stage at which NM is counted: the last before the first global filter, else "putative"."""
+    """Return the stage at which NM is counted.
+
+    "locate" where the matches were measured again; else the last before the first global filter, else "putative".
+    """
+    if "locate" in registration.stages:
+        return "locate"
     local = list(takewhile(lambda name: not _is_global(registration, name), registration.stages))
     return local[-1] if local else "putative"
 
@@ -139,7 +147,7 @@ def default_stage(registration: Registration) -> str:
 def _is_global(registration: Registration, stage: str) -> bool:
     """Whether a stage looks at all tie points at once, as the result says, or the registry where it does not."""
     said = registration.provenance.get("global_filters")
-    if stage == "refine":
+    if stage in MEASURED:
         return True
     if said is not None:
         return stage in said

@@ -14,6 +14,7 @@ import numpy as np
 from featreg._version import __version__
 from featreg.errors import ParameterError, suggest
 from featreg.results.registration import Registration
+from featreg.results.stages import MEASURED
 from featreg.study.evaluation import default_stage
 from featreg.study.jobs import Job, Method, Outcome, Pair
 from featreg.study.metrics import STANDARD, metric_of
@@ -34,6 +35,7 @@ VALUES: Mapping[str, tuple[Callable[[Any], bool], str]] = {
     "n_features": (lambda value: _number(value, 0) and isinstance(value, int | np.integer), "a whole number >= 1"),
     "filters": (lambda value: all(isinstance(name, str) for name in value), "a list of names"),
     "model": _NAME,
+    "locate": _SWITCH,
     "refine": _SWITCH,
     "scale": _NAME,
     "nodata": (_number, "a number"),
@@ -54,11 +56,12 @@ class Protocol:
     Parameters
     ----------
     threshold : px, greatest distance of a correct match from the truth
-    stage : at which NM is counted; None for the last filter that looks at neighbourhoods, which is the methods' own
+    stage : at which NM is counted; None for each method's own: the located matches where it locates, else those of the
+        last filter that looks at neighbourhoods
     n_features : budget: most features per image and most final tie points; None for the package's default
     filters : one chain of filters for all; None leaves each method its own
     model : geometric model; None for each method's own
-    refine : refinement on or off for all; None for each method's own
+    locate, refine : measuring the matches again, and refinement, on or off for all; None for each method's own
     scale, nodata, band, reference_band, secondary_band : what the samples are, as `featreg.match` takes them
     time_limit : s, of one job in its own process; None for no limit
     timing : measure times in a serial pass
@@ -71,6 +74,7 @@ class Protocol:
     n_features: int | None = None
     filters: tuple[str, ...] | None = None
     model: str | None = None
+    locate: bool | None = None
     refine: bool | None = None
     scale: str | None = None
     nodata: float | None = None
@@ -112,7 +116,7 @@ class Protocol:
     def keywords(self) -> dict[str, Any]:
         """The part that decides what is matched, as keywords of `featreg.match`."""
         reading = ("scale", "nodata", "band", "reference_band", "secondary_band")
-        given = {name: getattr(self, name) for name in ("n_features", "filters", "model", "refine", *reading)}
+        given = {name: getattr(self, name) for name in ("n_features", "filters", "model", "locate", "refine", *reading)}
         return {name: list(v) if name == "filters" else v for name, v in given.items() if v is not None}
 
     def to_dict(self) -> dict[str, Any]:
@@ -153,7 +157,7 @@ def describe(
         budget_text = "swept" if "n_features" in swept else budget
         line = f"{methods[label].base}: filters {filters}; NM counted at {counted}; budget n_features {budget_text}"
         lines += [] if line in lines else [line]
-        chains |= set() if "filters" in swept else {tuple(name for name in made.stages if name != "refine")}
+        chains |= set() if "filters" in swept else {tuple(name for name in made.stages if name not in MEASURED)}
         budgets |= set() if "n_features" in swept else {budget}
     for what, differ in (("filters", len(chains) > 1), ("budget", len(budgets) > 1)):
         if differ:

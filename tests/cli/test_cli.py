@@ -90,7 +90,7 @@ def test_match_prints_a_summary_and_nothing_else(run: Run) -> None:
     found = re.search(r"rotation (\S+) deg .* scale (\S+), shift \((\S+), (\S+)\) px", out)
     assert found is not None
     np.testing.assert_allclose([float(v) for v in found.groups()], [4.0, 1.01, 5.0, -3.0], atol=0.1)
-    assert re.search(r"\d+ final: \d+ putative, \d+ after gms, \d+ after fsc, \d+ after refine", out)
+    assert re.search(r"\d+ final: \d+ putative, \d+ after gms, \d+ after fsc, \d+ after locate, \d+ after refine", out)
 
 
 def test_match_writes_the_contracted_json_and_a_picture(run: Run, folder: Path, tmp_path: Path) -> None:
@@ -108,7 +108,7 @@ def test_match_writes_the_contracted_json_and_a_picture(run: Run, folder: Path, 
     assert image["geolocation"]["transform"] == list(PLACE.transform or ())
     assert "inputs" not in data["provenance"]
     assert {"type", "matrix", "parameters", "rotation_deg", "scale"} <= set(data["model"])
-    assert list(data["counts"]) == ["putative", "gms", "fsc", "refine", "inliers"]
+    assert list(data["counts"]) == ["putative", "gms", "fsc", "locate", "refine", "inliers"]
     columns = data["tie_points"]["columns"]
     assert columns[:4] == ["reference_x", "reference_y", "secondary_x", "secondary_y"]
     assert all(len(row) == len(columns) for row in data["tie_points"]["rows"])

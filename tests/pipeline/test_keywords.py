@@ -98,6 +98,8 @@ def test_an_experiment_refuses_what_match_refuses(keywords: dict[str, Any], text
         ({"matcher": "patch-grid", "nearest": "brute-force"}, "nearest does nothing"),
         ({"method": "rc-obcls", "common_rotation": True}, "common_rotation is for methods that describe"),
         ({"refine": False, "refine.half": 20}, "does nothing without refinement"),
+        ({"locate": False, "half_width": 12}, "does nothing without locating"),
+        ({"method": "orb", "least_peak": 0.5}, "does nothing without locating"),
         ({"method": "orb", "refine": False, "half": 20}, "does nothing without refinement"),
         ({"trust.block_share": 0.5}, "limit of scenes in blocks"),
         ({"height": 10.0}, "height does nothing here: array does not say where it lies"),
@@ -157,7 +159,7 @@ def test_impossible_numbers_of_workers_are_refused_on_whole_images(name: str, va
 def test_progress_of_whole_images_counts_to_the_end(pair: SimulatedPair) -> None:
     seen: list[tuple[int, int]] = []
     featreg.match(pair.reference, pair.secondary, progress=lambda done, total: seen.append((done, total)))
-    assert seen == [(i, 5) for i in range(1, 6)]
+    assert seen == [(i, 6) for i in range(1, 7)]
 
 
 @pytest.mark.parametrize("after", [0, 1, 3])
@@ -271,8 +273,8 @@ class LocalSeen(Seen):
 
 def in_blocks(pair: SimulatedPair, filters: list[Any], **more: Any) -> featreg.Registration:
     return featreg.match(
-        pair.reference, pair.secondary, filters=filters, block=150, workers=1, n_features=400, refine=False,
-        initial=pair.truth, search_radius=20.0, **more,
+        pair.reference, pair.secondary, filters=filters, block=150, workers=1, n_features=400,
+        locate=False, refine=False, initial=pair.truth, search_radius=20.0, **more,
     )  # fmt: skip
 
 

@@ -12,7 +12,8 @@ from featreg.errors import ParameterError
 from featreg.geometry import Affine, Homography, Similarity
 from featreg.interfaces import FailedFit, Model
 from featreg.io import as_image
-from featreg.pipeline.refine import Refine, Refined, halved
+from featreg.pipeline.aligned import halved
+from featreg.pipeline.refine import Refine, Refined
 from featreg.simulate import SimulatedPair, sar_pair
 from featreg.types import Image, Matches
 

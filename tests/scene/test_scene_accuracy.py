@@ -106,7 +106,7 @@ def _bent(height_px: float) -> Merged:
     there = here + rng.normal(0, 0.05, here.shape)
     there[blocks == 12, 0] += height_px
     points = Matches(here, there, np.ones(1000))
-    return Merged(points, {}, blocks, points, blocks, 1000, (150, 150))
+    return Merged(points, {}, blocks, points, blocks, 1000, (150, 150), Matches.empty(), blocks[:0])
 
 
 @pytest.mark.parametrize(("off", "refined"), [(0.0, True), (3.0, True), (40.0, True), (40.0, False)])

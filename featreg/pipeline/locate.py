@@ -1,0 +1,111 @@
+"""Locating: after the consensus, every match's position is measured again by correlating a small window of its own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Ge, Interval
+from numpy.typing import NDArray
+
+from featreg.interfaces import Model
+from featreg.pipeline.aligned import WholeWindows, halved, inverted, linear_parts, peak_covariance, resampled
+from featreg.runtime.parameters import Positive, checked
+from featreg.sar.bridging import on_sample
+from featreg.sar.correlation import local_correlations, peaks_uphill
+from featreg.sar.speckle import despeckled
+from featreg.types import FloatArray, Image, IntArray, Matches
+
+F32 = NDArray[np.float32]
+
+#: Matches farther from the consensus than this are wrong by more than a window can tell, px.
+FAR_PX = 12.0
+#: Largest shift at half size, from where it goes uphill.
+COARSE = 1
+
+
+@checked("locate")
+@dataclass(frozen=True)
+class Locate:
+    """Measure where in the secondary the surroundings of each matched keypoint lie.
+
+    Parameters
+    ----------
+    half_width : half the correlation window, px; it is 2 * half_width + 1 wide
+    smoothing : standard deviation of the Gaussian that smooths the log-amplitude, px
+    most_moved : farthest that a match may move along x and y, in px of the reference
+    least_peak : least height of a correlation peak
+
+    Notes
+    -----
+    A detector places a keypoint to about a pixel in each image by itself, under speckle; what both images show of its
+    surroundings places it against the other image to a few tenths. The secondary's despeckled log-amplitude is
+    resampled once by the consensus' model, so that windows need no resampling of their own; each match begins at its
+    own position, not at the model's, and a wrong one stays wrong, or finds no peak and is left out. The search is at
+    half size first and then uphill from there.
+    """
+
+    half_width: Annotated[int, Interval(ge=6, le=40)] = 14
+    smoothing: Positive = 0.7
+    most_moved: Annotated[int, Ge(1)] = 3
+    least_peak: Annotated[float, Interval(gt=0, lt=1)] = 0.35
+
+    @property
+    def reach(self) -> int:
+        """How far from a match pixels are looked at, px."""
+        return self.half_width + max(self.most_moved, 2 * COARSE) + 3
+
+    def run(self, reference: Image, secondary: Image, model: Model, matches: Matches, rows: IntArray) -> Matches:
+        """Return those of the matches in `rows` whose windows correlate, at their measured positions.
+
+        `origin` names the match of each; positions in the reference stay, those in the secondary are new. Covariances
+        are known up to a factor that they share, which a fit tells (`featreg.pipeline.aligned.variance_factor`).
+        """
+        reach = self.reach
+        if not len(rows) or min(reference.shape) <= 2 * reach:
+            return Matches.empty()
+        at, offset, rows = self._starts(reference, secondary, model, matches, rows)
+        if not len(rows):
+            return Matches.empty()
+        here = despeckled(reference, self.smoothing)
+        aligned = resampled(despeckled(secondary, self.smoothing), model, reference.shape)
+        start = self._coarse(halved(here), halved(aligned), at // 2, offset / 2)
+        peak = peaks_uphill(here, aligned, at, 2 * start, offset, self.half_width, self.most_moved)
+        good = peak.sound & (peak.height >= self.least_peak)
+        xy = matches.reference_xy[rows]
+        there = model(xy + peak.shift)
+        good &= on_sample(there, secondary)
+        kept = peak.take(good)
+        return Matches(xy[good], there[good], kept.height, peak_covariance(kept, model, xy[good]), rows[good])
+
+    def _coarse(self, first: F32, second: F32, at: IntArray, offset: FloatArray) -> IntArray:
+        """(N, 2) shifts that correlate best near an offset, in px of the halved images."""
+        half, side = self.half_width // 2, 2 * COARSE + 1
+        inside = half + COARSE + 1
+        there = np.clip(at + np.rint(offset).astype(np.int64), inside, np.array(second.shape[::-1]) - inside - 1)
+        best = local_correlations(first, second, at, half, COARSE, there).reshape(len(at), -1).argmax(axis=1)
+        return np.asarray(there - at + np.column_stack([best % side, best // side]) - COARSE)
+
+    def _starts(
+        self, reference: Image, secondary: Image, model: Model, matches: Matches, rows: IntArray
+    ) -> tuple[IntArray, IntArray, IntArray]:
+        """Whole pixels of the reference, whole offsets on its grid from the model, rows: of what can be measured."""
+        xy = matches.reference_xy[rows]
+        at = np.rint(xy).astype(np.int64)
+        off = _offsets(model, xy, matches.secondary_xy[rows])
+        near = np.isfinite(off).all(axis=1) & (np.abs(off) <= FAR_PX).all(axis=1)
+        at, offset, rows = at[near], np.rint(off[near]).astype(np.int64), rows[near]
+        room = np.array(reference.shape[::-1]) - self.reach
+        good = ((at >= self.reach) & (at < room) & (at + offset >= self.reach) & (at + offset < room)).all(axis=1)
+        at, offset, rows = at[good], offset[good], rows[good]
+        whole = WholeWindows(reference, secondary, model, self.half_width)
+        good = whole.in_reference(at)
+        good[good] = whole.in_secondary((at + offset)[good])
+        return at[good], offset[good], rows[good]
+
+
+def _offsets(model: Model, reference_xy: FloatArray, secondary_xy: FloatArray) -> FloatArray:
+    """(M, 2) displacements of points of the secondary from where a model maps those of the reference, on its grid."""
+    away = secondary_xy - model(reference_xy)
+    return np.asarray(np.einsum("nij,nj->ni", inverted(linear_parts(model, reference_xy)), away))
