@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from featreg.displacement.cells import CellGrid, Reason
 from featreg.displacement.neighbours import LEAST, company, filled, outliers, smoothed
-from featreg.pipeline.refine import halved
+from featreg.pipeline.aligned import halved
 from featreg.sar.correlation import peaks, quadratic_steps
 from featreg.sar.grid_correlation import Expected, WindowGrid, grid_correlations, grid_peaks, piece_middles
 from featreg.sar.speckle import log_amplitude
