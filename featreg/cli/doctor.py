@@ -106,20 +106,32 @@ def missing_extras() -> Mapping[str, Mapping[str, Any]]:
     """
     from importlib.metadata import PackageNotFoundError, requires
 
-    found: dict[str, list[str]] = {}
     try:
         needed = requires("featreg") or []
     except PackageNotFoundError:
         needed = []
+    libraries: dict[str, list[str]] = {}
+    parts: dict[str, list[str]] = {}
     for line in needed:
         extra = re.search(r"extra\s*==\s*['\"]([^'\"]+)['\"]", line)
-        name = re.match(r"[A-Za-z0-9._-]+", line)
-        if extra and name:
-            absent = version_of(name[0]) is None
-            found.setdefault(extra[1], []).extend([name[0]] if absent else [])
+        name = re.match(r"([A-Za-z0-9._-]+)\s*(?:\[([^\]]*)\])?", line)
+        if extra is None or name is None:
+            continue
+        own = libraries.setdefault(extra[1], [])
+        if name[1].lower() == "featreg":
+            parts.setdefault(extra[1], []).extend(part.strip() for part in (name[2] or "").split(","))
+        else:
+            own.append(name[1])
+
+    def all_of(extra: str, seen: frozenset[str]) -> list[str]:
+        """The libraries of an extra and of those it is made of."""
+        inner = [n for part in parts.get(extra, []) if part not in seen for n in all_of(part, seen | {part})]
+        return list(dict.fromkeys([*libraries.get(extra, []), *inner]))
+
     return {
         name: {"missing": missing, "install": f"pip install 'featreg[{name}]'" if missing else ""}
-        for name, missing in sorted(found.items())
+        for name in sorted(libraries)
+        for missing in [[n for n in all_of(name, frozenset({name})) if version_of(n) is None]]
     }
 
 

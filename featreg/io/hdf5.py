@@ -106,7 +106,13 @@ def open_classic_netcdf(path: Path) -> GriddedReader:
 
     with decoding(path, "netCDF"), warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        file = netcdf_file(path, "r", mmap=True, maskandscale=False)
+
+        class Mapped(netcdf_file):
+            """A file whose map ends with the last array on it, so that there is nothing to close."""
+
+            def __del__(self) -> None: ...
+
+        file = Mapped(path, "r", mmap=True, maskandscale=False)
         variables = {}
         for name, held in file.variables.items():
             data = held.data
@@ -114,7 +120,6 @@ def open_classic_netcdf(path: Path) -> GriddedReader:
             attributes = dict(vars(held).get("_attributes", {}))
             read = _copied(data)
             variables[f"/{name}"] = Variable(f"/{name}", data.shape, data.dtype, attributes, read, axes)
-    # Arrays that are in use keep the map of the file open; it ends with the last of them.
     return GriddedReader(str(path), "netCDF", variables, lambda: None)
 
 

@@ -53,7 +53,8 @@ def as_image(
     -------
     Image
         Range and sign of the amplitude are kept, nothing is stretched. NaN, infinite and nodata samples are masked;
-        with a stated scale of amplitude or intensity, so are negative samples, with a logged warning.
+        with a stated scale of amplitude, so are negative samples, with a logged warning; negative intensities are very
+        dark data and become 0.
 
     Raises
     ------

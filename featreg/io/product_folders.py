@@ -85,10 +85,18 @@ class FolderTree:
             raise InputError(f"{self.folder / name}: cannot be read ({error.strerror})") from error
 
     def gdal_name(self, name: str) -> str:
-        path = (self.folder / name).resolve()
+        try:
+            path = (self.folder / name).resolve()
+            there = path.is_file()
+        except (
+            OSError,
+            ValueError,
+            RuntimeError,
+        ) as error:  # a name that is too long, holds a null byte, goes in circles
+            raise InputError(f"{self.called}: names '{name[:80]}', which cannot be looked for") from error
         if not path.is_relative_to(self.folder.resolve()):
             raise InputError(f"{self.called}: names '{name[:80]}' outside its folder, which is refused")
-        if not path.is_file():
+        if not there:
             raise InputError(f"{self.called}: names '{name[:80]}', which is not there; the product must be complete")
         return str(path)
 

@@ -19,6 +19,8 @@ DB_NEGATIVE_SHARE = 0.01
 #: its lower one. Speckle of one look: 6 in intensity, 0.4 in decibels; of four 2.2 and 0.7, but where noise was removed
 #: the scene holds dark and bright ground and the ratio is above 5. Decibels of a dark sea with a bright coast reach 2.
 LINEAR_TAIL = 3.0
+#: Linear samples of which a larger share is negative are none, whatever they are called.
+MOST_NEGATIVE = 0.5
 #: What noise removal leaves below 0 is at most so large, its median over the 99th percentile of all samples.
 SMALL_NEGATIVE = 0.1
 
@@ -65,7 +67,8 @@ def real_pixels(
     if valid is None and samples.size and scale in (None, "amplitude"):
         # The common case in two quick passes: NaN fails both comparisons.
         low, high = samples.min(), samples.max()
-        if low >= 0 and high <= np.finfo(np.float32).max:
+        stated_db = scale is None and said == "db" and samples.dtype.kind == "f" and high <= DB_RANGE[1]
+        if low >= 0 and high <= np.finfo(np.float32).max and not stated_db:
             if low == high and content:
                 raise NoContentError(_constant(name, float(low)))
             return samples.astype(np.float32, order="C", copy=not owned), None, "amplitude"
@@ -76,11 +79,15 @@ def real_pixels(
     negative = (values < 0) & valid
     below = int(negative.sum())
     if scale is None:
-        scale = _inferred_scale(values[valid], below, name, said) if below else "amplitude"
-    if below and scale != "db":
+        scale = _inferred_scale(values[valid], below, name, said) if below else _without_negatives(values[valid], said)
+    if below and scale == "intensity":
+        # What the subtraction of noise leaves below zero is data: ground that is very dark.
+        values = np.maximum(values, 0)
+        logger.info("%s: %d negative intensities count as 0", name, below)
+    elif below and scale == "amplitude":
         valid &= ~negative
         level = logging.WARNING if content else logging.DEBUG  # once a scene, not once a window
-        logger.log(level, "%s: %d negative samples cannot be %s and were masked", name, below, scale)
+        logger.log(level, "%s: %d negative samples cannot be amplitude and were masked", name, below)
     with np.errstate(all="ignore"):  # samples that are not valid may do anything here
         if scale == "db":
             values = 10.0 ** (values / 20.0)
@@ -127,6 +134,11 @@ def _inferred_scale(values: NDArray[Any], below: int, name: str, said: str | Non
     """Return the scale of valid samples, `below` of them negative, where it can be told without a silent guess."""
     low, high = values.min(), values.max()
     share = below / values.size
+    in_range = DB_RANGE[0] <= low and high <= DB_RANGE[1]
+    if said in ("amplitude", "intensity") and in_range and share > MOST_NEGATIVE:
+        message = "%s: is called %s, but %.0f %% of its values are negative: taken as decibels; state scale= to be sure"
+        logger.warning(message, name, said, 100 * share)
+        return "db"
     if said is not None:
         logger.info("%s: %d negative samples; the file's own words say %s", name, below, said)
         return said
@@ -137,7 +149,7 @@ def _inferred_scale(values: NDArray[Any], below: int, name: str, said: str | Non
         )
         logger.warning(message, name, low, high, 100 * share)
         return "intensity"
-    if DB_RANGE[0] <= low and high <= DB_RANGE[1] and share >= DB_NEGATIVE_SHARE:
+    if in_range and share >= DB_NEGATIVE_SHARE:
         message = "%s: values %.4g .. %.4g, %.0f %% of them negative, were taken as decibels; state scale= to be sure"
         logger.warning(message, name, low, high, 100 * share)
         return "db"
@@ -145,6 +157,12 @@ def _inferred_scale(values: NDArray[Any], below: int, name: str, said: str | Non
         f"{name}: {below} samples are negative (lowest {low:.6g}), so it is no amplitude and its scale cannot be told; "
         "state scale='amplitude', 'intensity' or 'db', or the nodata value as nodata="
     )
+
+
+def _without_negatives(values: NDArray[Any], said: str | None) -> str:
+    """Return the scale of samples none of which is negative: decibels only where the file says so and they can be."""
+    real = values.dtype.kind == "f" and values.size > 0
+    return "db" if said == "db" and real and float(values.max()) <= DB_RANGE[1] else "amplitude"
 
 
 def _noise_removed(values: NDArray[Any]) -> bool:

@@ -159,7 +159,7 @@ def warp_file(
         raise ParameterError(f"{secondary}: holds {sources[0].dtype} samples, deramp and coherence need complex ones")
     if coherence is not None and len(sources) > 1:
         raise ParameterError(f"{secondary}: has {len(sources)} bands, the coherence is that of one; give its number")
-    partner = None if coherence is None else _partner(grid)
+    partner = None if coherence is None else _partner(grid, registration)
     ramp = _ramp(sources[0]) if deramp else None
     encodings = [encoding_of(source) for source in sources]
     encodings = [replace(e, dtype=encodings[0].dtype, nodata=encodings[0].nodata) for e in encodings]
@@ -294,10 +294,12 @@ def _recorded_band(registration: Registration, secondary: str) -> str | None:
     return known.band if known.band.startswith("iq") else None
 
 
-def _partner(grid: Grid) -> RasterSource:
+def _partner(grid: Grid, registration: Registration) -> RasterSource:
     if grid.path is None:
         raise InputError("the coherence needs the reference image; give its file as like")
-    source = RasterSource(grid.path)
+    known = registration.reference
+    same = known is not None and is_same(known.path, grid.path)
+    source = RasterSource(grid.path, band=known.band if known is not None and same else None)
     if not source.is_complex:
         raise InputError(f"{grid.path}: the reference holds {source.dtype} samples, coherence needs complex ones")
     return source

@@ -419,3 +419,40 @@ def test_a_codec_that_is_not_built_in_is_named(tmp_path: Path) -> None:
     path.write_bytes(content[: at + 8] + (34712).to_bytes(2, "little") + content[at + 10 :])
     with pytest.raises(InputError, match=r"compressed in a way that the library installed here cannot read"):
         as_image(path)
+
+
+def test_negative_intensities_are_very_dark_data(tmp_path: Path) -> None:
+    noisy = (AMPLITUDE**2).astype(np.float32)
+    noisy[::7, ::5] *= -0.01
+    path = write(tmp_path / "a.tif", noisy, "GTiff")
+    for image in (as_image(path, scale="intensity"), open_source(path, scale="intensity").read(Window(0, 0, W, H))):
+        assert image.mask.all()
+        np.testing.assert_allclose(image.pixels, np.sqrt(np.maximum(noisy, 0)), rtol=1e-6)
+
+
+def test_linear_samples_with_negatives_are_told_from_decibels(tmp_path: Path) -> None:
+    sigma0 = RNG.gamma(1.0, 0.08, (H, W)).astype(np.float32) - 0.004
+    assert 0.03 < (sigma0 < 0).mean() < 0.08
+    assert as_image(write(tmp_path / "a.tif", sigma0, "GTiff")).scale == "intensity"
+    assert as_image(write(tmp_path / "b.tif", sigma0, "GTiff", names=["Sigma0_VV"])).scale == "intensity"
+    db = (10 * np.log10(np.maximum(sigma0, 1e-4))).astype(np.float32)
+    assert as_image(write(tmp_path / "c.tif", db, "GTiff")).scale == "db"
+    assert as_image(write(tmp_path / "d.tif", db, "GTiff", names=["sigma0"])).scale == "db"
+    bright = write(tmp_path / "e.tif", db - db.min(), "GTiff", names=["VV_dB"])
+    assert as_image(bright).scale == open_source(bright).known_scale == "db"
+
+
+@pytest.mark.parametrize(
+    ("standard", "text"),
+    [("urn:SICD:0.5.0", r"is a SICD of version 0.5.0, and 1.1.0, .* are read"), ("urn:SIDD:3.0.0", "")],
+)
+def test_standards_of_nitf_are_named(standard: str, text: str, tmp_path: Path) -> None:
+    pytest.importorskip("sarkit")
+    path = write(tmp_path / "a.ntf", BYTES, "NITF", False)
+    with path.open("ab") as file:
+        file.write(f'<X xmlns="{standard}"/>'.encode())
+    if text:
+        with pytest.raises(InputError, match=text):
+            as_image(path)
+    else:
+        np.testing.assert_array_equal(as_image(path).pixels, BYTES)
