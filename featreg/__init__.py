@@ -2,10 +2,14 @@
 
 import lazy_loader
 
-from featreg.runtime.showing import drawn_by
+from featreg.runtime.deferred import declare
 
 # The public names stand in __init__.pyi; each is imported when first asked for, so that `import featreg` is quick.
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
-# The types stand below the pictures; only here are both known. The module is imported when something is to be shown.
-drawn_by("featreg.pictures.interactive")
+# Types and results stand below what draws and warps them; only here are all floors known.
+declare(
+    html="featreg.pictures.interactive:html_of",
+    figure="featreg.pictures.interactive:figure_of",
+    warp="featreg.products.resample:warp",
+)

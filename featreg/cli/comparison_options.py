@@ -246,6 +246,8 @@ class OutputOptions:
             if self.layout_format == "json":
                 raise ParameterError("--layout is for --format md, csv or latex; JSON holds everything")
         check_output(self.out, "--out", suffixes=tuple(OUTPUTS))
+        if layout is not None and self.out is not None and Path(self.out).suffix.lower() in (".json", ".parquet"):
+            raise ParameterError(f"--layout is for --out .md, .csv or .tex; '{self.out}' would hold everything")
         check_output(self.report, "--report", suffixes=(".html",))
         check_output(self.save, "--save", suffixes=EXPERIMENTS)
         if self.resume is not None:
@@ -261,7 +263,10 @@ class OutputOptions:
             printed = {"md": table.to_markdown, "csv": table.to_csv, "latex": table.to_latex}[self.layout_format]
             typer.echo(printed(layout=layout), nl=False)
         if self.out is not None:
-            getattr(table, OUTPUTS[Path(self.out).suffix.lower()])(self.out)
+            suffix = Path(self.out).suffix.lower()
+            # What is written is what is printed.
+            chosen = {} if suffix in (".json", ".parquet") else {"layout": layout}
+            getattr(table, OUTPUTS[suffix])(self.out, **chosen)
         if self.report is not None:
             from featreg.report.from_study import write_study_report
 

@@ -1,4 +1,4 @@
-"""The command line: `featreg match`, `explain`, `compare`, `sweep`, `warp`, `export`, `focus`, `mark` and others.
+"""The command line: `featreg match`, `explain`, `view`, `compare`, `sweep`, `warp`, `export`, `mark` and others.
 
 Exit codes: 0 good; 1 an error of this program; 2 usage or bad input; 3 no trustworthy result (what was asked for is
 still written); 4 a comparison with failed rows; 130 interrupted. Whatever goes wrong is one line on stderr.
@@ -25,6 +25,7 @@ from featreg.runtime.progress import close_bars
 COMMANDS: dict[str, tuple[str, str]] = {
     "match": ("match", "match"),
     "explain": ("explain", "explain"),
+    "view": ("view", "view"),
     "compare": ("compare", "compare"),
     "sweep": ("sweep", "sweep"),
     "warp": ("warp", "warp"),

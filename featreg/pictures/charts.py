@@ -16,8 +16,6 @@ from featreg.study.table import Table
 WIDTH, HEAD, LINE = 4.4, 0.75, 0.32
 #: Charts beside each other.
 ACROSS = 2
-#: Pairs below which an interval says nothing.
-FEWEST = 5
 MEAN, PAIR = "#0b6bb8", "#9aa4b1"
 
 
@@ -55,7 +53,7 @@ def comparison(table: Table, metrics: Sequence[str] | None = None) -> Any:
             spread = found[method][name]
             if spread.mean is not None:
                 axes.plot([spread.mean], [y], "D", color=MEAN, markersize=6)
-                if spread.low is not None and spread.high is not None and spread.count >= FEWEST:
+                if spread.told:
                     axes.plot([spread.low, spread.high], [y, y], color=MEAN, linewidth=2)
         axes.set_yticks(range(len(methods)), methods if k % ACROSS == 0 else [""] * len(methods), fontsize=9)
         axes.set_ylim(len(methods) - 0.5, -0.5)

@@ -17,6 +17,7 @@ from featreg.results.json_file import read_registration, tie_point_columns, writ
 from featreg.results.stages import MEASURED
 from featreg.results.standard_errors import standard_errors as rigid_errors
 from featreg.results.summary import one_line, summary
+from featreg.runtime.deferred import job
 from featreg.runtime.showing import Shown, figure_of
 from featreg.types import BoolArray, FloatArray, Gate, Matches, column
 
@@ -85,6 +86,10 @@ class Registration(Shown):
         truth : as `featreg.evaluate` takes it; tie points are then correct or false instead of final or not
         """
         return figure_of(self, reference=reference, secondary=secondary, truth=truth)
+
+    def warp(self, secondary: Any, **options: Any) -> Any:
+        """Return the secondary on the reference grid; see `featreg.warp`, whose keywords it takes."""
+        return job("warp")(self, secondary, **options)
 
     @property
     def putative(self) -> BoolArray:

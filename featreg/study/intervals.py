@@ -17,6 +17,8 @@ from featreg.errors import ParameterError
 from featreg.types import FloatArray
 
 RESAMPLES = 4000
+#: Pairs below which an interval is so wide that it says nothing; it is then not printed.
+FEWEST = 5
 
 
 @dataclass(frozen=True)
@@ -44,10 +46,16 @@ class Interval:
         """Whether the interval lies on one side of zero: of a difference, that it is more than chance."""
         return self.low is not None and self.high is not None and (self.low > 0 or self.high < 0)
 
+    @property
+    def told(self) -> bool:
+        """Whether the interval is printed: it is known, and not that of a few pairs."""
+        known = self.low is not None and self.high is not None
+        return known and not (self.over == "pairs" and self.count < FEWEST)
+
     def __str__(self) -> str:
         if self.mean is None:
             return ""
-        reach = "" if self.low is None or self.high is None else f" [{_short(self.low)}, {_short(self.high)}]"
+        reach = f" [{_short(self.low or 0.0)}, {_short(self.high or 0.0)}]" if self.told else ""
         return f"{_short(self.mean)}{reach}{f' without {self.missing}' if self.missing else ''}"
 
 

@@ -25,6 +25,32 @@ NEEDS: Mapping[str, tuple[str, ...]] = {
 }
 
 
+#: Column -> title with its unit, where a table is set for a reader who does not know the names of the columns.
+TITLES: Mapping[str, str] = {
+    "pair": "Image pair", "method": "Method", "seed": "Seed", "nm": "NM", "ncm": "NCM", "precision": "Precision",
+    "rmse": "RMSE (px)", "grid_rmse": "Grid RMSE (px)", "inliers": "Tie points", "rotation_deg": "Rotation (°)",
+    "time_s": "Time (s)", "act": "ACT (s)", "blocks": "Blocks", "spread": "Spread", "mma": "MMA",
+    "repeatability": "Repeatability", "recall": "Recall", "matching_score": "Matching score", "failed": "Failed",
+    "refused": "Refused",
+}  # fmt: skip
+#: The same of metrics of a number of pixels.
+FAMILY_TITLES: Mapping[str, str] = {"mma": "MMA", "success": "Success", "auc": "AUC", "wrong": "Wrong"}
+
+
+def title_of(name: str, title: str) -> str:
+    """Return what a column is called in a paper: its title of a layout, else the field's name with its unit."""
+    if title != name:
+        return {"RMSE": "RMSE (px)"}.get(title, title)
+    if name in TITLES:
+        return TITLES[name]
+    word, _, pixels = name.partition("@")
+    if pixels and word in FAMILY_TITLES:
+        return f"{FAMILY_TITLES[word]} at {pixels} px"
+    if name.startswith("act."):
+        return f"{name.removeprefix('act.')} (s)"
+    return name
+
+
 def columns_of(
     layout: str, columns: Sequence[str], rows: Sequence[Mapping[str, Any]]
 ) -> tuple[dict[str, str], list[list[Mapping[str, Any]]]]:

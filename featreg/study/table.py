@@ -17,19 +17,14 @@ from featreg.errors import InputError, ParameterError, suggest
 from featreg.results.json_file import plain
 from featreg.runtime.files import write_atomic
 from featreg.runtime.showing import Shown, figure_of
-from featreg.study.intervals import Interval, interval
-from featreg.study.layouts import LAYOUTS, best_of, columns_of
+from featreg.study.intervals import FEWEST, Interval, interval
+from featreg.study.latex import latex
+from featreg.study.layouts import LAYOUTS, columns_of
 from featreg.study.metrics import STANDARD, metric_of
 
 COLUMNS = ("pair", "method", "status", *STANDARD, "reason")
 #: Columns that are no metric.
 HEAD, TAIL = ("pair", "method", "seed"), ("status", "reason")
-#: What LaTeX reads as a command, or prints as another sign in its usual font encoding.
-LATEX = str.maketrans(
-    {sign: f"\\{sign}" for sign in "{}&%$#_"}
-    | {"\\": r"\textbackslash{}", "^": r"\^{}", "~": r"\~{}", "<": r"\textless{}", ">": r"\textgreater{}",
-       "|": r"\textbar{}", "°": r"\textdegree{}"}
-)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,27 +178,30 @@ class Table(Shown):
         writer.writerows([row.get(name) for name in names] for row in (self.rows if layout is None else parts[0]))
         return _emit(out.getvalue(), path)
 
-    def to_latex(self, path: str | Path | None = None, *, layout: str | None = None) -> str:
-        """Return (and write) a LaTeX tabular, the best value of each pair in bold, the protocol underneath."""
+    def to_latex(
+        self,
+        path: str | Path | None = None,
+        *,
+        layout: str | None = None,
+        caption: str | None = None,
+        label: str = "featreg",
+    ) -> str:
+        """Return (and write) a LaTeX table for ``booktabs``.
+
+        Parameters
+        ----------
+        path : file to write
+        layout : "table2" or "table3" for those of the SAR-ORB paper
+        caption : plain text; by default what is compared, over how many pairs
+        label : the table is ``\\ref{tab:label}``
+
+        Notes
+        -----
+        The best value of each pair is bold, among trusted results only. Refused and failed results are marked, and
+        their reasons stand below with the protocol.
+        """
         columns, parts = self._shown(layout)
-        sides = "".join("r" if name in (*self.metrics, "act") else "l" for name in columns)
-        lines = [rf"\begin{{tabular}}{{{sides}}}", r"\hline"]
-        lines += [" & ".join(_escape(title) for title in columns.values()) + r" \\", r"\hline"]
-        judged = self._judged()
-        ranked: tuple[Sequence[Mapping[str, Any]], ...] = (parts[0], judged)
-        for part, fair in zip(parts, ranked, strict=False):
-            pair = ""
-            for row, own in zip(part, fair, strict=True):
-                pair = row["pair"] or pair
-                rivals = [other for other in [*self.rows, *judged] if other["pair"] == pair]
-                cells = (_escape(_text(row, name)) for name in columns)
-                best = (best_of(own, name, rivals) for name in columns)
-                lines.append(
-                    " & ".join(rf"\textbf{{{c}}}" if b else c for c, b in zip(cells, best, strict=True)) + r" \\"
-                )
-            lines += [r"\hline"] if part else []
-        lines += [r"\end{tabular}", *(rf"\par{{\footnotesize {_escape(line)}}}" for line in self.protocol)]
-        return _emit("\n".join(lines) + "\n", path)
+        return _emit(latex(self, columns, parts, self._judged() if layout is None else [], caption, label), path)
 
     def to_json(self, path: str | Path | None = None) -> str:
         """Return (and write) one JSON object: rows, summary, intervals, differences, protocol, failed."""
@@ -300,7 +298,10 @@ class Table(Shown):
             _line([f"{method} minus {self.methods[0]}", *(_signed(f[n]) for n in names)]) for method, f in rest.items()
         ]
         unit = " and ".join(sorted({f[n].over for f in found.values() for n in names}))
-        note = f"Studentised bootstrap over the {unit}; * a difference whose interval leaves out zero"
+        count = max(f[n].count for f in found.values() for n in names)
+        note = f"n = {count} {unit}; studentised bootstrap over them; * a difference whose interval leaves out zero"
+        if unit == "pairs" and count < FEWEST:
+            note = f"n = {count} pairs: too few for an interval (from {FEWEST} on)"
         if any(f[n].missing for f in [*found.values(), *rest.values()] for n in names):
             note += "; 'without N': N pairs have no value, and a mean that leaves them out flatters the method"
         return [*lines, "", f"{note}."]
@@ -333,7 +334,7 @@ def _signed(found: Interval) -> str:
     if found.mean is None:
         return ""
     text = str(found)
-    return f"{text if text.startswith('-') else '+' + text}{' *' if found.excludes_zero else ''}"
+    return f"{text if text.startswith('-') else '+' + text}{' *' if found.told and found.excludes_zero else ''}"
 
 
 def _text(row: Mapping[str, Any], name: str) -> str:
@@ -349,10 +350,6 @@ def _text(row: Mapping[str, Any], name: str) -> str:
     except LookupError:
         return f"{value:g}"
     return f"{value:g}" if count else f"{value:.3f}"
-
-
-def _escape(text: str) -> str:
-    return text.translate(LATEX)
 
 
 def _emit(text: str, path: str | Path | None) -> str:

@@ -5,6 +5,9 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
+import shutil
+import subprocess
 import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -353,47 +356,89 @@ def test_printed_forms(table: Table, tmp_path: Path) -> None:
     assert len(frame) == 6
 
 
-def test_latex_escapes_and_sets_the_best_in_bold(table: Table) -> None:
-    lines = table.to_latex().splitlines()
+def test_latex_escapes_and_sets_the_best_of_the_trusted_in_bold(table: Table) -> None:
+    lines = table.to_latex(caption="50 % & more", label="mine").splitlines()
+    assert lines[0] == r"% needs \usepackage{booktabs}"
+    assert r"\caption{50 \% \& more}" in lines
+    assert r"\label{tab:mine}" in lines
     sharp, blunt, broken = (
-        next(line for line in lines if f" & {m} & " in line) for m in ("sharp", "blunt", r"no\_\%luck")
+        next(line for line in lines if f" & {m}" in line) for m in ("sharp", "blunt", r"no\_\%luck")
     )
     assert r"\textbf{0.800}" in sharp
     assert r"\textbf{0.300}" in sharp
     assert r"\textbf{8}" in sharp
     assert r"\textbf{0.500}" not in blunt
     assert r"\textbf" not in broken
-    assert lines[-1].startswith(r"\par{\footnotesize")
+    assert r"no\_\%luck$^{\ddagger}$ & " in broken
+    assert any(r"$^{\ddagger}$ failed: no\_\%luck on pair 1: " in line for line in lines)
+    assert any("Grid RMSE & " in line for line in lines)
+    assert any("(px)" in line for line in lines)
     only = compare([(image(0), image(1), TRUTH)], ["sharp"]).to_latex()
     assert r"\textbf" not in only
-    row = {"pair": r"a\b{c}", "method": "x<y|~^", "status": "ok", "ncm": 5, "reason": "#1 & 2 at 3$"}
-    assert (
-        r"a\textbackslash{}b\{c\} & x\textless{}y\textbar{}\~{}\^{} & ok & 5 & \#1 \& 2 at 3\$ \\"
-        in Table([row]).to_latex()
-    )
+    row = {"pair": r"a\b{c}", "method": "x<y|~^", "status": "unreliable", "ncm": 5, "reason": "#1 & 2 at 3$"}
+    text = Table([row]).to_latex()
+    assert r"a\textbackslash{}b\{c\} & x\textless{}y\textbar{}\~{}\^{}$^{\dagger}$ & 5 \\" in text
+    assert r"on a\textbackslash{}b\{c\}: \#1 \& 2 at 3\$." in text
+    assert r"\caption{Comparison of 1 method over 1 image pair.}" in text
 
 
-def test_giving_up_wins_no_bold_mean() -> None:
-    rows = [
+def test_giving_up_wins_no_bold_mean_and_no_bold_at_all_where_it_is_not_trusted() -> None:
+    rows: list[dict[str, Any]] = [
         {"pair": pair, "method": method, "status": "ok", "rmse": value, "reason": ""}
         for method, values in (("all", [0.5, 0.7]), ("half", [0.1, None]))
         for pair, value in zip("ab", values, strict=True)
     ]
     lines = Table(rows).to_latex().splitlines()
     assert [line for line in lines if line.startswith(("median", "mean"))] == [
-        r"median & all & 2/2 ok & 0.600 \\",
-        r"median & half & 2/2 ok & 0.100 \\",
-        r"mean & all & 2/2 ok & 0.600 \\",
-        r"mean & half & 2/2 ok & 0.100 \\",
+        r"median & all (2/2 ok) & 0.600 \\",
+        r"median & half (2/2 ok) & 0.100 \\",
+        r"mean & all (2/2 ok) & 0.600 \\",
+        r"mean & half (2/2 ok) & 0.100 \\",
     ]
-    third = [{**row, "method": "third", "rmse": 0.8} for row in rows if row["method"] == "all"]
+    third: list[dict[str, Any]] = [{**row, "method": "third", "rmse": 0.8} for row in rows if row["method"] == "all"]
     bold = [line for line in Table([*rows, *third]).to_latex().splitlines() if r"\textbf" in line]
     assert bold == [
-        r"b & all & ok & \textbf{0.700} \\",
-        r"a & half & ok & \textbf{0.100} \\",
-        r"median & all & 2/2 ok & \textbf{0.600} \\",
-        r"mean & all & 2/2 ok & \textbf{0.600} \\",
+        r"b & all & \textbf{0.700} \\",
+        r"a & half & \textbf{0.100} \\",
+        r"median & all (2/2 ok) & \textbf{0.600} \\",
+        r"mean & all (2/2 ok) & \textbf{0.600} \\",
     ]
+    rows[2]["status"] = "unreliable"  # half on a
+    lines = Table([*rows, *third]).to_latex().splitlines()
+    assert r"a & half$^{\dagger}$ & 0.100 \\" in lines
+    assert r"a & all & \textbf{0.500} \\" in lines
+    assert any("among the 5 of 6 results that are trusted" in line for line in lines)
+
+
+def test_latex_compiles(table: Table, tmp_path: Path) -> None:
+    if shutil.which("pdflatex") is None or shutil.which("kpsewhich") is None:
+        pytest.skip("LaTeX is not installed")
+    if not subprocess.run(["kpsewhich", "booktabs.sty"], capture_output=True, check=False).stdout:
+        pytest.skip("booktabs is not installed")
+    head = r"\documentclass{article}\usepackage{booktabs}\begin{document}"
+    text = f"{head}\n{table.to_latex()}\n{table.to_latex(layout='table2', label='two')}\n\\end{{document}}\n"
+    (tmp_path / "t.tex").write_text(text, encoding="utf-8")
+    done = subprocess.run(
+        ["pdflatex", "-halt-on-error", "-interaction=nonstopmode", "t.tex"],
+        cwd=tmp_path, capture_output=True, text=True, errors="replace", check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout
+    assert "Overfull" not in done.stdout
+
+
+def test_intervals_of_few_pairs_are_not_printed() -> None:
+    def text(pairs: int) -> str:
+        rows = [
+            {"pair": f"p{k}", "method": m, "status": "ok", "rmse": 0.5 + 0.1 * k + 0.3 * (m == "b"), "reason": ""}
+            for k in range(pairs)
+            for m in "ab"
+        ]
+        return Table(rows).to_markdown()
+
+    assert "| a | 0.6 |" in text(3)
+    assert "n = 3 pairs: too few for an interval" in text(3)
+    assert re.search(r"\| a \| 0\.7 \[0\.\d+, 0\.\d+\] \|", text(5))
+    assert "n = 5 pairs; studentised bootstrap" in text(5)
 
 
 def test_the_same_comparison_gives_the_same_table() -> None:
