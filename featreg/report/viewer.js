@@ -5,7 +5,7 @@ const KEYS = "Arrow left and right step through the tie points, plus and minus z
 class Viewer extends Handling {
   constructor() {
     super();
-    this.at = { pair: 0, method: study.entries[0]?.method ?? 0, seed: study.entries[0]?.seed ?? 0, mode: "matches", set: "scored" };
+    this.at = { pair: 0, method: study.entries[0]?.method ?? 0, seed: study.entries[0]?.seed ?? 0, mode: "matches", set: study.pairs.some((pair) => pair.truth) ? "scored" : "final" };
     this.shown = { correct: true, false: true, accepted: true, rejected: true, unknown: true };
     this.lines = null;
     this.gain = null;
