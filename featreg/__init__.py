@@ -11,5 +11,5 @@ __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 declare(
     html="featreg.pictures.interactive:html_of",
     figure="featreg.pictures.interactive:figure_of",
-    warp="featreg.products.resample:warp",
+    warp="featreg.products.in_memory:warp",
 )

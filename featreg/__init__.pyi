@@ -29,7 +29,7 @@ from .matching import match as match
 from .pipeline.feature_matcher import FeatureMatcher as FeatureMatcher
 from .pipeline.pipeline import Pipeline as Pipeline
 from .products.coherence import coherence as coherence
-from .products.resample import warp as warp
+from .products.in_memory import warp as warp
 from .products.warping import Product as Product
 from .products.warping import warp_file as warp_file
 from .registry import available as available

@@ -43,7 +43,7 @@ def warm_up() -> None:
     from featreg.focusing import focus
     from featreg.matching import match
     from featreg.pipeline.assembly import assemble
-    from featreg.products.resample import warp
+    from featreg.products.in_memory import warp
     from featreg.simulate import sar_pair
 
     pair = sar_pair(SHAPE, rotation_deg=3.0, scale=1.0, shift=(2.0, 1.0))

@@ -6,9 +6,10 @@ plausible decibels (then a warning is logged), anything else is an error that sa
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from featreg.errors import InputError, ParameterError, suggest
 from featreg.io.arrays import count_of, is_array, plain_array
 from featreg.io.bands import BandLike, check_band
+from featreg.io.data_arrays import NAME, DataArrayLike, is_data_array, read_data_array
 from featreg.io.masks import MaskLike, as_mask, holds_nodata
 from featreg.io.opening import read_raster, read_small_raster
 from featreg.io.reader import Raster, physical
@@ -24,7 +26,7 @@ from featreg.types import BoolArray, Image, read_only
 
 SMALLEST = 16
 
-ImageLike = str | Path | NDArray[Any] | Image
+ImageLike = str | Path | NDArray[Any] | Image | DataArrayLike
 
 
 def as_image(
@@ -41,7 +43,8 @@ def as_image(
     ----------
     source : path of an image file, a product's folder or an archive with one image, the name of a dataset inside a file
         (``file.h5:/group/name``, ``file.mat:variable``, or as GDAL has it), a 2-D numeric array, or an `Image`, which
-        is returned as it is when nothing else is given; docs/formats.md lists what is read
+        is returned as it is when nothing else is given; docs/formats.md lists what is read. A DataArray of xarray may
+        have a dimension of bands, and brings its coordinate system and its value for no data along
     mask : pixels that are data: (H, W) array, mask file or polygons; see `featreg.io.masks.as_mask`
     nodata : value of the samples that are not data, before any conversion; it overrides the nodata value of a file (not
         its mask band). Compared with linear amplitude where `source` is an `Image`. Without it, 0 is data in an array.
@@ -80,6 +83,9 @@ def as_image(
         return _restricted(source, mask, nodata, scale)
     if isinstance(source, str | Path):
         return _image(read_raster(source, band), str(source), mask, nodata, scale, owned=True)
+    if is_data_array(source):
+        raster = read_data_array(source, band, math.inf)
+        return _image(cast(Raster, raster), NAME, mask, nodata, scale, owned=False)
     if not is_array(source):
         given = type(source).__name__
         raise InputError(f"cannot make an image from {given}; give a path, a 2-D array or a featreg Image")
@@ -104,6 +110,10 @@ def small_image(
         check_band(band)
         raster = read_small_raster(source, most, band)
         return None if raster is None else _image(raster, str(source), mask, nodata, scale, owned=True)
+    if is_data_array(source) and scale in (None, *SCALES):
+        check_band(band)
+        raster = read_data_array(source, band, most)
+        return None if raster is None else _image(raster, NAME, mask, nodata, scale, owned=False)
     pixels = source.mask.size if isinstance(source, Image) else count_of(source) if is_array(source) else 0
     return None if pixels > most else as_image(source, mask=mask, nodata=nodata, scale=scale, band=band)
 

@@ -183,15 +183,27 @@ def inferred_scale(
 
     A scene of no more pixels than the strips hold is looked at as a whole. `masked` gives the user's mask of a window.
     """
-    source = stamp[0]
-    height, width = read_head(stamp, band).shape
+    return scale_by_strips(
+        read_head(stamp, band).shape, lambda window: read_samples(stamp[0], band, window), nodata, masked, stamp[0]
+    )
+
+
+def scale_by_strips(
+    shape: tuple[int, int],
+    read: Callable[[Window], Raster],
+    nodata: complex | None,
+    masked: Callable[[Window], BoolArray | None],
+    name: str,
+) -> str:
+    """What the real samples of a scene of (H, W) are, told from four strips over it; `read` gives those of a window."""
+    height, width = shape
     rows = max(1, SAMPLE**2 // 4 // width)
     if height <= 4 * rows:
         rows = height
     parts = []
     for top in np.unique(np.linspace(0, max(0, height - rows), 4).astype(int)).tolist():
         window = Window(0, top, width, rows)
-        raster = read_samples(source, band, window)
+        raster = read(window)
         if raster.samples.dtype.kind == "u" and raster.offset >= 0 and raster.gain >= 0:
             return "amplitude"
         hole = holds_nodata(raster.samples, raster.nodata if nodata is None else nodata)
@@ -204,4 +216,4 @@ def inferred_scale(
     values = np.concatenate(parts)
     if not len(values):
         return "amplitude"
-    return real_pixels(values[None], None, None, source, owned=False, content=False, said=raster.said)[2]
+    return real_pixels(values[None], None, None, name, owned=False, content=False, said=raster.said)[2]

@@ -7,27 +7,27 @@ asks for a `Source` and never for what is behind it.
 from __future__ import annotations
 
 import os
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from featreg.errors import InputError, ParameterError
+from featreg.errors import InputError
 from featreg.io.arrays import is_array
 from featreg.io.bands import BandLike, check_band
+from featreg.io.data_arrays import is_data_array
 from featreg.io.gdal_reader import CACHE_BYTES
 from featreg.io.masks import MaskLike, holds_nodata, inside_polygons, polygons_of
 from featreg.io.raster_files import Head, absolute_name, files_of, inferred_scale, read_head, read_samples, stamp_of
-from featreg.io.reader import Raster, physical
-from featreg.io.scales import SCALES, complex_pixels, real_pixels
+from featreg.io.reader import Raster
+from featreg.io.scales import SCALES
+from featreg.io.source import SampleSource, Source, overview_of, padded, spooled
 from featreg.io.source_names import parse_source
 from featreg.io.window import Window
 from featreg.runtime.digests import digest_bytes
-from featreg.types import BoolArray, Geolocation, Image, read_only
+from featreg.types import BoolArray, Geolocation, Image
 
 __all__ = [
     "CACHE_BYTES",
@@ -43,153 +43,6 @@ __all__ = [
 
 #: Bytes at either end of a file that identify it together with its size and time.
 FINGERPRINT = 1 << 16
-
-
-class Source(Protocol):
-    """A scene: of a file, an array or an image in memory."""
-
-    @property
-    def name(self) -> str:
-        """What it is called in messages and results."""
-
-    @property
-    def path(self) -> str:
-        """The name by which its file is found again; what it is called where there is none."""
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """(H, W)."""
-
-    @property
-    def dtype(self) -> str:
-        """Name of the dtype of the samples before any conversion."""
-
-    @property
-    def band(self) -> BandLike:
-        """What was asked for of a file of several bands."""
-
-    @property
-    def is_complex(self) -> bool:
-        """Whether its samples are complex."""
-
-    @property
-    def geolocation(self) -> Geolocation | None:
-        """Where it lies."""
-
-    @property
-    def known_scale(self) -> str:
-        """What the samples are: "amplitude", "intensity", "db" or "complex"."""
-
-    def read(self, window: Window) -> Image:
-        """Return the pixels of a window; those outside the scene are masked."""
-
-    def overview(self, factor: int) -> Image:
-        """Return every `factor` x `factor` pixels averaged to one; see `overview_of`."""
-
-    def identity(self) -> dict[str, Any]:
-        """What tells this scene from another, as JSON can hold it."""
-
-    def shareable(self, folder: Callable[[], Path], stem: str) -> Source:
-        """The scene as processes find it that share neither this memory nor this folder.
-
-        `folder` gives one for what must be written, under names that begin with `stem`.
-        """
-
-
-def overview_of(source: Source, factor: int) -> Image:
-    """Return every `factor` x `factor` pixels averaged to one (root mean square of the amplitude), by strips.
-
-    The pixel (0, 0) of the overview has its centre at ``(factor - 1) / 2``. What does not fill a pixel at the lower
-    and right border is left out. A pixel is valid where more than half of what it averages is.
-    """
-    if factor < 1:
-        raise ParameterError(f"an overview needs factor >= 1, got {factor}")
-    height, width = source.shape[0] // factor, source.shape[1] // factor
-    if height < 1 or width < 1:
-        raise ParameterError(f"{source.name}: an overview of 1 / {factor} of {source.shape} has no pixel")
-    pixels, mask = np.empty((height, width), np.float32), np.empty((height, width), np.bool_)
-    step = max(1, 512 // factor)
-    for top in range(0, height, step):
-        rows = min(step, height - top)
-        strip = source.read(Window(0, top * factor, width * factor, rows * factor))
-        cells = (strip.amplitude**2).reshape(rows, factor, width, factor).mean(axis=(1, 3))
-        share = strip.mask.reshape(rows, factor, width, factor).mean(axis=(1, 3))
-        good = share > 0.5
-        pixels[top : top + rows] = np.sqrt(np.divide(cells, share, out=np.zeros_like(cells), where=good))
-        mask[top : top + rows] = good
-    return Image(read_only(pixels), read_only(mask), None, source.name, source.dtype, source.known_scale)
-
-
-class SampleSource(ABC):
-    """What sources share whose samples are read by windows and turned into amplitude here.
-
-    A kind of source says what `name`, `shape`, `dtype` and `known_scale` are, and reads `samples`; `nodata` overrides
-    what these say of themselves.
-    """
-
-    nodata: complex | None
-
-    @property
-    @abstractmethod
-    def name(self) -> str:
-        """What it is called in messages and results."""
-
-    @property
-    @abstractmethod
-    def shape(self) -> tuple[int, int]:
-        """(H, W)."""
-
-    @property
-    @abstractmethod
-    def dtype(self) -> str:
-        """Name of the dtype of the samples before any conversion."""
-
-    @property
-    @abstractmethod
-    def known_scale(self) -> str:
-        """What the samples are: "amplitude", "intensity", "db" or "complex"."""
-
-    @abstractmethod
-    def samples(self, window: Window) -> Raster:
-        """The samples of the part of a window inside the scene, as they are; (0, 0) of them where it lies outside."""
-
-    @property
-    def is_complex(self) -> bool:
-        return self.dtype.startswith("complex")
-
-    def masked(self, window: Window) -> BoolArray | None:
-        """The user's mask of the part of a window that lies in the scene, None = all valid."""
-        return None
-
-    def read(self, window: Window) -> Image:
-        """Return the pixels of a window; those outside the scene are masked.
-
-        Raises
-        ------
-        InputError
-            The samples cannot be read. A window without any valid pixel, or of one value, is no error.
-        """
-        raster = self.samples(window)
-        samples, valid = raster.samples, raster.mask
-        hole = holds_nodata(samples, raster.nodata if self.nodata is None else self.nodata)
-        for more in (None if hole is None else ~hole, self.masked(window)):
-            if more is not None:
-                valid = more if valid is None else valid & more
-        samples = physical(raster)
-        pixels: NDArray[Any]
-        if samples.dtype.kind == "c":
-            pixels, valid = complex_pixels(samples, valid, self.name, owned=True, content=False)
-        else:
-            pixels, valid, _ = real_pixels(samples, valid, self.known_scale, self.name, owned=True, content=False)
-        if valid is None:
-            valid = np.ones(pixels.shape, np.bool_)
-        else:
-            pixels[~valid] = 0
-        return Image(*_padded(pixels, valid, window, self.shape), None, self.name, raster.dtype, self.known_scale)
-
-    def overview(self, factor: int) -> Image:
-        """As `overview_of`."""
-        return overview_of(cast(Source, self), factor)
 
 
 @dataclass(frozen=True)
@@ -338,7 +191,7 @@ class ImageSource:
         rows = slice(0, 0) if part is None else slice(part.y, part.y + part.height)
         cols = slice(0, 0) if part is None else slice(part.x, part.x + part.width)
         pixels, mask = self.image.pixels[rows, cols].copy(), self.image.mask[rows, cols].copy()
-        return Image(*_padded(pixels, mask, window, self.shape), None, self.name, self.dtype, self.known_scale)
+        return Image(*padded(pixels, mask, window, self.shape), None, self.name, self.dtype, self.known_scale)
 
     def overview(self, factor: int) -> Image:
         """As `overview_of`."""
@@ -350,7 +203,8 @@ class ImageSource:
         return self.image.band
 
     def shareable(self, folder: Callable[[], Path], stem: str) -> RasterSource:
-        return self.spooled(folder(), stem)
+        path = spooled(self, folder(), stem)
+        return RasterSource(str(path), scale=None if self.is_complex else "amplitude")
 
     def identity(self) -> dict[str, Any]:
         """A digest of the pixels and of the mask."""
@@ -360,17 +214,6 @@ class ImageSource:
     @property
     def path(self) -> str:
         return self.name
-
-    def spooled(self, folder: Path, stem: str) -> RasterSource:
-        """Write the pixels to a NPY file, invalid ones as NaN, for workers that do not share this memory."""
-        path = folder / f"{stem}.npy"
-        pixels = self.image.pixels
-        target = np.lib.format.open_memmap(path, mode="w+", dtype=pixels.dtype, shape=pixels.shape)
-        for top in range(0, self.shape[0], 512):
-            rows = slice(top, top + 512)
-            target[rows] = np.where(self.image.mask[rows], pixels[rows], np.nan)
-        target.flush()
-        return RasterSource(str(path), scale=None if self.is_complex else "amplitude")
 
 
 def open_source(
@@ -384,6 +227,11 @@ def open_source(
     """Return the source of a path, an array or an `Image`, checked; parameters and errors as `featreg.io.as_image`."""
     from featreg.io.images import as_image
 
+    if is_data_array(source) and scale in (None, *SCALES):
+        from featreg.io.data_array_source import open_data_array
+
+        check_band(band)
+        return open_data_array(source, RasterSource, mask=mask, nodata=nodata, scale=scale, band=band)
     if not isinstance(source, str | Path):
         return ImageSource(as_image(source, mask=mask, nodata=nodata, scale=scale, band=band))
     check_band(band)
@@ -429,18 +277,3 @@ def _fingerprint(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); give the path of an existing file") from error
     return {"bytes": known.st_size, "time_ns": known.st_mtime_ns, "ends": digest_bytes(ends)}
-
-
-def _padded(
-    pixels: NDArray[Any], mask: BoolArray, window: Window, shape: tuple[int, int]
-) -> tuple[NDArray[Any], BoolArray]:
-    """The part inside the scene on the whole window, what is outside masked; locked."""
-    part = window.within(shape)
-    if part == window:
-        return read_only(pixels), read_only(mask)
-    whole, valid = np.zeros(window.shape, pixels.dtype), np.zeros(window.shape, np.bool_)
-    if part is not None:
-        rows = slice(part.y - window.y, part.y - window.y + part.height)
-        cols = slice(part.x - window.x, part.x - window.x + part.width)
-        whole[rows, cols], valid[rows, cols] = pixels, mask
-    return read_only(whole), read_only(valid)

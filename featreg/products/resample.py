@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 
 from featreg.errors import InputError, ParameterError, suggest
 from featreg.interfaces import FailedFit, Model
-from featreg.io import ImageLike, as_image
+from featreg.io.window import Window
 from featreg.products.lattice import Lattice, lattice_of
 from featreg.results.registration import Registration
 from featreg.types import BoolArray, FloatArray, Image, read_only
@@ -130,46 +129,22 @@ def _inner(mask: BoolArray, taps: int) -> BoolArray:
     return np.asarray(eroded).view(np.bool_)
 
 
+def support_box(lattice: Lattice, shape: tuple[int, int], resampling: str) -> Window | None:
+    """Return the pixels of an image of (H, W) on which the positions of a lattice rest; None where there are none."""
+    bounds = lattice.bounds()
+    if bounds is None:
+        return None
+    margin = TAPS[resampling] // 2 + 1
+    left, top = (int(np.floor(np.clip(b, -1e9, 1e9))) - margin for b in bounds[:2])
+    right, bottom = (int(np.ceil(np.clip(b, -1e9, 1e9))) + margin for b in bounds[2:])
+    return Window(left, top, right - left + 1, bottom - top + 1).within(shape)
+
+
 def tiles(height: int, width: int) -> Iterator[tuple[slice, slice]]:
     """Cut a grid so that the positions of one tile, not of a whole scene, are in memory."""
     for top in range(0, height, TILE):
         for left in range(0, width, TILE):
             yield slice(top, min(top + TILE, height)), slice(left, min(left + TILE, width))
-
-
-def warp(
-    registration: Registration,
-    secondary: ImageLike,
-    *,
-    like: ImageLike | tuple[int, int] | None = None,
-    resampling: str = "lanczos",
-) -> NDArray[np.float32] | NDArray[np.complex64]:
-    """Return the secondary image on the reference grid.
-
-    Parameters
-    ----------
-    registration : the result of `featreg.match`; its model is used even when it is not trusted (a warning is logged)
-    secondary : path, 2-D array or `Image`, of the same grid as the secondary that was matched
-    like : the reference (path, array or `Image`) or its (H, W), where the registration does not name its size
-    resampling : "nearest", "bilinear", "cubic" or "lanczos"
-
-    Returns
-    -------
-    (H, W) float32 linear amplitude, whatever scale the file has, or complex64; NaN (complex: nan+nanj) where the
-    secondary has no data
-
-    Raises
-    ------
-    InputError
-        There is no model, the reference's size is not known, or the secondary cannot be used.
-    ParameterError
-        An unknown resampling.
-    """
-    model = model_of(registration)
-    image = as_image(secondary)
-    warped = resample(image, model, _reference_shape(registration, like), resampling=resampling)
-    blank = np.complex64(complex(np.nan, np.nan)) if image.is_complex else np.float32(np.nan)
-    return np.where(warped.mask, warped.pixels, blank)
 
 
 def model_of(registration: Registration) -> Model:
@@ -195,20 +170,3 @@ def stated_shape(like: tuple[int, ...]) -> tuple[int, int]:
     if len(like) != 2 or not all(isinstance(n, int | np.integer) and n > 0 for n in like):
         raise InputError(f"like must be the reference image or its (H, W), got {like}")
     return int(like[0]), int(like[1])
-
-
-def _reference_shape(registration: Registration, like: ImageLike | tuple[int, int] | None) -> tuple[int, int]:
-    if isinstance(like, tuple):
-        return stated_shape(like)
-    if isinstance(like, Image):
-        return like.shape
-    if isinstance(like, str | Path):
-        return as_image(like).shape
-    if like is not None:
-        shape = np.shape(like)
-        if len(shape) != 2:
-            raise InputError(f"like must be the reference image or its (H, W), got an array of shape {shape}")
-        return shape[0], shape[1]
-    if registration.reference is None:
-        raise InputError("the registration does not say the reference's size; give it as like=(H, W)")
-    return registration.reference.shape

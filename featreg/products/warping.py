@@ -28,7 +28,7 @@ from featreg.products.files import Runner, bounded_cache, cloud_optimised, raste
 from featreg.products.grid import Grid, grid_model, inputs_of, reference_grid
 from featreg.products.lattice import Lattice, lattice_of
 from featreg.products.phase_ramp import PhaseRamp, estimate_phase_ramp
-from featreg.products.resample import TAPS, Support
+from featreg.products.resample import TAPS, Support, support_box
 from featreg.products.samples import Encoding, encoding_of
 from featreg.products.stac import SampleKind, acquired, check_item, write_item
 from featreg.results.registration import Registration
@@ -217,7 +217,7 @@ class _Job:
     def render(self, window: Window) -> tuple[NDArray[Any], int]:
         """Return the numbers (bands, h, w) of a window and how many pixels of its first band are data."""
         lattice = lattice_of(self.model, window.x, window.y, window.shape)
-        box = self._box(lattice)
+        box = support_box(lattice, self.sources[0].shape, self.resampling)
         if box is not None and box.width * box.height > MOST_READ and min(window.shape) > 32:
             return self._by_parts(window)
         bands, good = [], 0
@@ -235,17 +235,6 @@ class _Job:
         parts = [[self.render(Window(x, y, w, h)) for x, w in cols] for y, h in rows]
         whole = np.concatenate([np.concatenate([p[0] for p in line], axis=2) for line in parts], axis=1)
         return whole, sum(p[1] for line in parts for p in line)
-
-    def _box(self, lattice: Lattice) -> Window | None:
-        """The pixels of the secondary that a window rests on."""
-        bounds = lattice.bounds()
-        if bounds is None:
-            return None
-        height, width = self.sources[0].shape
-        margin = TAPS[self.resampling] // 2 + 1
-        left, top = (int(np.floor(np.clip(b, -1e9, 1e9))) - margin for b in bounds[:2])
-        right, bottom = (int(np.ceil(np.clip(b, -1e9, 1e9))) + margin for b in bounds[2:])
-        return Window(left, top, right - left + 1, bottom - top + 1).within((height, width))
 
     def _sampled(self, source: RasterSource, lattice: Lattice, box: Window | None) -> tuple[NDArray[Any], BoolArray]:
         if box is None:

@@ -139,7 +139,7 @@ def test_an_image_in_memory_has_the_same_manners(tmp_path: Path) -> None:
     array[:20] = np.nan
     source = open_source(array)
     assert isinstance(source, ImageSource)
-    spooled = source.spooled(tmp_path, "scene")
+    spooled = source.shareable(lambda: tmp_path, "scene")
     for window in WINDOWS:
         a, b = source.read(window), spooled.read(window)
         assert np.array_equal(a.pixels, b.pixels)

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from featreg.errors import InputError, ParameterError
 from featreg.interfaces import FailedFit, Model
 from featreg.io import as_image
-from featreg.products.resample import TILE, resample, warp
+from featreg.products.in_memory import warp
+from featreg.products.resample import TILE, resample
 from featreg.results.input_image import InputImage
 from featreg.results.registration import Registration
 from featreg.types import FloatArray, Image, Matches

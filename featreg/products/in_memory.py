@@ -1,0 +1,97 @@
+"""The secondary on the reference grid in memory: of arrays an array, of DataArrays a DataArray."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from featreg.errors import InputError
+from featreg.io import ImageLike, as_image
+from featreg.io.bands import BandLike
+from featreg.io.data_arrays import DataArrayReader, is_data_array
+from featreg.products.data_arrays import blanked, warped_data_array
+from featreg.products.resample import model_of, resample, stated_shape
+from featreg.results.registration import Registration
+from featreg.types import Image
+
+
+def warp(
+    registration: Registration,
+    secondary: ImageLike,
+    *,
+    like: ImageLike | tuple[int, int] | None = None,
+    resampling: str = "lanczos",
+    band: BandLike = None,
+) -> Any:
+    """Return the secondary image on the reference grid.
+
+    Parameters
+    ----------
+    registration : the result of `featreg.match`; its model is used even when it is not trusted (a warning is logged)
+    secondary : path, 2-D array or `Image`, of the same grid as the secondary that was matched
+    like : the reference (path, array or `Image`) or its (H, W), where the registration does not name its size; of a
+        DataArray the result has the coordinates
+    resampling : "nearest", "bilinear", "cubic" or "lanczos"
+    band : of a file or DataArray of several bands; by default that which was matched
+
+    Returns
+    -------
+    (H, W) float32 linear amplitude, whatever scale the file has, or complex64; NaN (complex: nan+nanj) where the
+    secondary has no data. A numpy array; of a DataArray of xarray a DataArray with the coordinates, the coordinate
+    system and the geotransform of the reference, lazy where the secondary is one of dask
+
+    Raises
+    ------
+    InputError
+        There is no model, the reference's size is not known, or the secondary cannot be used or has another size than
+        the one that was matched (`featreg.warp_file` takes other pixel sizes).
+    ParameterError
+        An unknown resampling.
+    """
+    model = model_of(registration)
+    shape, known = _reference_shape(registration, like), registration.secondary
+    band = known.band if band is None and known is not None else band
+    if is_data_array(secondary):
+        _check_size(DataArrayReader(secondary).shape, registration)
+        place = None if registration.reference is None else registration.reference.geolocation
+        facts = {"status": registration.status, "reason": registration.reason}
+        facts["method"] = str(registration.provenance.get("method", ""))
+        return warped_data_array(
+            model, secondary, shape, place, like=like, band=band, resampling=resampling,
+            attributes={f"featreg_{name}": text for name, text in facts.items()},
+        )  # fmt: skip
+    image = as_image(secondary, band=band if isinstance(secondary, str | Path) else None)
+    _check_size(image.shape, registration)
+    warped = resample(image, model, shape, resampling=resampling)
+    return blanked(warped.pixels, warped.mask)
+
+
+def _check_size(shape: tuple[int, int], registration: Registration) -> None:
+    """Raise where an image cannot be the secondary that was matched."""
+    known = registration.secondary
+    if known is not None and known.path != "tie points" and known.shape != shape:
+        raise InputError(
+            f"the secondary has the shape {shape}, that of the result was {known.shape}; featreg.warp_file takes files "
+            "of another pixel size"
+        )
+
+
+def _reference_shape(registration: Registration, like: ImageLike | tuple[int, int] | None) -> tuple[int, int]:
+    if isinstance(like, tuple):
+        return stated_shape(like)
+    if isinstance(like, Image):
+        return like.shape
+    if isinstance(like, str | Path):
+        return as_image(like).shape
+    if is_data_array(like):
+        return DataArrayReader(like).shape
+    if like is not None:
+        shape = np.shape(cast(Any, like))
+        if len(shape) != 2:
+            raise InputError(f"like must be the reference image or its (H, W), got an array of shape {shape}")
+        return shape[0], shape[1]
+    if registration.reference is None:
+        raise InputError("the registration does not say the reference's size; give it as like=(H, W)")
+    return registration.reference.shape
