@@ -49,8 +49,8 @@ def fit(
         for given, xy in ((reference_shape, matches.reference_xy), (secondary_shape, matches.secondary_xy))
     ]
     origins, shapes = zip(*frames, strict=True)
+    first, second = (InputImage("tie points", shape) for shape in shapes)  # raises where they cannot be
     result = pipeline.fit(matches, shapes[0], shapes[1], seed=seed, origins=origins)
-    first, second = (InputImage("tie points", shape) for shape in shapes)
     return replace(result, reference=first, secondary=second)
 
 
