@@ -34,7 +34,8 @@ bench: $(VENV)/.installed
 	$(BIN)/python benchmarks/import_time.py
 
 kernels: $(VENV)/.installed-dev
-	$(BIN)/python -c "from featreg.warming import precompile; [print(*missing, sep=': ') for missing in precompile().items()]"
+	$(BIN)/python -c "from featreg.warming import record_kernels; record_kernels()"
+	$(BIN)/python featreg/runtime/preparing.py . $(WORKERS)
 
 table2 table3: $(VENV)/.installed
 	$(BIN)/python benchmarks/tables.py $@

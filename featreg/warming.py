@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import ModuleType
@@ -14,6 +15,7 @@ from featreg.registry import entries, entry
 from featreg.runtime import precompiled
 from featreg.runtime.files import write_atomic
 from featreg.runtime.jit import Kernel
+from featreg.runtime.preparing import LIST
 
 #: Small, yet with a scene in it that every method finds points on.
 SHAPE = (200, 200)
@@ -79,44 +81,35 @@ def _methods() -> Iterator[dict[str, Any]]:
                 yield {"filters": [other.name]} if kind == "filter" else {kind: other.name}
 
 
-def precompile() -> dict[str, str]:
-    """Translate the kernels for the arguments that `warm_up` gives them, into the files beside their modules.
+def record_kernels() -> None:
+    """List the kernels, with the kinds of arguments that `warm_up` gives them, for `featreg.runtime.preparing`.
 
-    For those who change a kernel: what is prepared of a source that changed is not used any more.
-
-    Returns
-    -------
-    kernel and kinds of its arguments -> why it could not be translated; numba compiles these when they are called
+    For those who add a kernel, or call one with arguments of another kind: what is not listed compiles at its first
+    call.
     """
-    from featreg.runtime import jit, precompiling
+    from featreg.runtime import jit
 
     jit.calls = {}
     try:
         warm_up()
     finally:
         recorded, jit.calls = jit.calls, None
-    missing: dict[str, str] = {}
-    for module in _kernel_modules():
-        entries: dict[tuple[str, str], list[precompiled.Prepared]] = {}
-        for name, kernel in _kernels(module).items():
-            for key in sorted(recorded.get((module.__name__, name), ())):
-                told = f"{module.__name__}.{name}({', '.join(key)})"
-                if not key:
-                    missing[told] = "arguments that are neither arrays nor numbers"
-                    continue
-                try:
-                    made = precompiling.translated(kernel.function, kernel.dispatcher, key)
-                except ValueError as error:
-                    missing[told] = str(error)
-                    continue
-                entries.setdefault((name, precompiled.source_digest(kernel)), []).append(made)
-        content = precompiled.written(entries, precompiling.llvm_version(), precompiling.triple())
-        write_atomic(precompiled.file_of(Path(str(module.__file__))), content)
-    return missing
+    modules: dict[str, dict[str, list[list[str]]]] = {}
+    for (module, name), keys in sorted(recorded.items()):
+        plain = sorted(list(key) for key in keys if key)  # nothing else than arrays and numbers can be handed over
+        if plain:
+            modules.setdefault(module, {})[name] = plain
+    lines = ",\n".join(
+        f"{json.dumps(module)}: {{\n"
+        + ",\n".join(f"  {json.dumps(name)}: {json.dumps(keys)}" for name, keys in kernels.items())
+        + "\n}"
+        for module, kernels in modules.items()
+    )
+    write_atomic(LIST, f"{{\n{lines}\n}}\n".encode())
 
 
 def stale_kernels() -> list[str]:
-    """The modules of kernels whose prepared code is of another source; `precompile` makes it anew."""
+    """The modules of kernels whose prepared code is of another source; `make kernels` translates them again."""
     stale = []
     for module in _kernel_modules():
         kernels = _kernels(module).values()

@@ -123,14 +123,18 @@ def test_every_folder_with_modules_is_a_listed_package() -> None:
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The wheel of a clean copy of what a build needs: a stale build/ beside the sources would leak into it."""
+    """The wheel of a clean copy of what a build needs: a stale build/ beside the sources would leak into it.
+
+    Without translated kernels, which take half a minute: `tests/runtime/test_preparing.py` makes some.
+    """
     tree, out = tmp_path_factory.mktemp("tree"), tmp_path_factory.mktemp("dist")
-    for name in ("pyproject.toml", PROJECT["project"]["readme"], *PROJECT["project"]["license-files"]):
+    for name in ("pyproject.toml", "setup.py", PROJECT["project"]["readme"], *PROJECT["project"]["license-files"]):
         shutil.copy(ROOT / name, tree / name)
     for name in {folder.split("/")[0] for folder in FOLDERS.values()} | {"tests", "benchmarks"}:
-        shutil.copytree(ROOT / name, tree / name, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(ROOT / name, tree / name, ignore=shutil.ignore_patterns("__pycache__", "*.bc"))
     # No isolation: the development extras bring setuptools, so that nothing is downloaded here.
-    run(sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(out), str(tree))
+    build = ("-m", "build", "--wheel", "--no-isolation", "--outdir", str(out), str(tree))
+    run(sys.executable, *build, FEATREG_KERNELS="numba")
     (made,) = out.glob("*.whl")
     return made
 
@@ -185,10 +189,10 @@ def sources() -> list[Path]:
 
 
 def files() -> list[Path]:
-    """Every file of the package's folders, caches aside."""
+    """Every file of the package's folders, caches and translated kernels aside."""
     tops = sorted({folder.split("/")[0] for folder in FOLDERS.values()})
     found = [path for top in tops for path in sorted((ROOT / top).rglob("*")) if path.is_file()]
-    return [path for path in found if "__pycache__" not in path.parts]
+    return [path for path in found if "__pycache__" not in path.parts and path.suffix != ".bc"]
 
 
 def in_wheel(path: Path) -> str:
@@ -197,9 +201,9 @@ def in_wheel(path: Path) -> str:
     return inside if inside.split("/")[0] == "featreg" else f"featreg/{inside}"
 
 
-def run(*command: str, cwd: Path | None = None) -> str:
+def run(*command: str, cwd: Path | None = None, **variables: str) -> str:
     """Run a command without this checkout on the module path, and return what it prints."""
     environment = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")}
-    done = subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(command, cwd=cwd, env=environment | variables, capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"{' '.join(command)}\n{done.stdout}\n{done.stderr}"
     return done.stdout

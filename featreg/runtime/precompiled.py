@@ -1,9 +1,9 @@
 """Kernels that were translated to LLVM's code when the package was built, made into machine code of this processor.
 
-Beside a module of kernels lies a file of the same name that ends in `.bc`. It holds, for each kernel and each kind of
-arguments that the methods use, what numba makes of it before anything depends on the processor. The first call
-optimises it for the processor at hand (a tenth of a second or less) and keeps the object on disk; later starts load
-that. The steps are numba's own, and so are the bits of the results.
+Beside a module of kernels lies a file of the same name that ends in `.bc`, which setup.py writes. It holds, for each
+kernel and each kind of arguments that the methods use, what numba makes of it before anything depends on the processor.
+The first call optimises it for the processor at hand (a tenth of a second or less) and keeps the object on disk; later
+starts load that. The steps are numba's own, and so are the bits of the results.
 
 Where a file is missing, was made for another system, another LLVM or from another source, there is nothing prepared,
 and numba compiles as ever. `FEATREG_KERNELS=numba` asks for that.
@@ -32,6 +32,8 @@ from featreg.runtime.files import write_atomic
 
 logger = logging.getLogger(__name__)
 
+#: Offsets in bytes of the fields of an array of numpy: its data, extents and strides.
+DATA, EXTENTS, STRIDES = 16, 32, 40
 #: Of a call whose arguments are of another kind.
 MISS = object()
 #: Kinds of numbers: the types that pass as one, and what they become.
@@ -293,13 +295,24 @@ class Machine:
 @cache
 def _machine() -> Machine | None:
     # llvmlite comes with numba; what it cannot do here, numba may.
-    if sys.implementation.name != "cpython" or ctypes.sizeof(ctypes.c_void_p) != 8:
+    if sys.implementation.name != "cpython" or ctypes.sizeof(ctypes.c_void_p) != 8 or not _layout_holds():
         return None
     try:
         return Machine()
     except (ImportError, RuntimeError, AttributeError) as error:
         logger.info("no prepared kernels here: %s", error)
         return None
+
+
+def _layout_holds() -> bool:
+    """Whether arrays lie in memory as prepared code reads them, which no standard promises."""
+    sample = np.zeros((3, 5), np.int16)[:, ::2]
+
+    def words(start: int) -> list[int]:
+        return list((ctypes.c_int64 * 2).from_address(start))
+
+    data, extents, strides = (words(id(sample) + offset)[0] for offset in (DATA, EXTENTS, STRIDES))
+    return data == sample.ctypes.data and (words(extents), words(strides)) == ([3, 3], [10, 4])
 
 
 @cache

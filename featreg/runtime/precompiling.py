@@ -20,7 +20,7 @@ from numba.core.registry import cpu_target
 from numba.np.arrayobj import populate_array
 from numba.np.numpy_support import from_dtype
 
-from featreg.runtime.precompiled import Prepared
+from featreg.runtime.precompiled import DATA, EXTENTS, STRIDES, Prepared
 
 #: Functions of the C library that prepared code may call; everything else it must bring along.
 C_LIBRARY = {
@@ -29,8 +29,6 @@ C_LIBRARY = {
     "fmod", "erf", "erfc", "acos", "asin", "atan", "rint", "round", "trunc",
 }  # fmt: skip
 C_LIBRARY |= {f"{name}f" for name in C_LIBRARY}
-#: Offsets in bytes of the fields of an array of numpy: its data, extents and strides.
-DATA, EXTENTS, STRIDES = 16, 32, 40
 _NUMBERS = {"int": types.int64, "float": types.float64, "bool": types.boolean, "float32": types.float32}
 # numba's record of an allocation (references, destructor, what it is told, data, size), by the C library.
 _MEMORY = """

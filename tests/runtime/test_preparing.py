@@ -1,0 +1,49 @@
+"""The files of translated kernels: written from the list, without anything else of the package."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from featreg.runtime import precompiled
+from featreg.runtime.preparing import LIST
+
+PACKAGE = Path(precompiled.__file__).parents[1]
+MODULE = "featreg.sar.keypoints.motion_kernels"
+
+pytest.importorskip("numba")
+
+
+def test_the_list_names_kernels_that_exist() -> None:
+    listed = json.loads(LIST.read_text(encoding="utf-8"))
+    assert MODULE in listed
+    for module, kernels in listed.items():
+        source = (PACKAGE.parent / Path(*module.split("."))).with_suffix(".py").read_text(encoding="utf-8")
+        for name, keys in kernels.items():
+            assert f"def {name}(" in source, f"{module}.{name}: make kernels"
+            assert all(keys), name
+
+
+def test_listed_kernels_are_translated_in_a_copy_of_the_package(tmp_path: Path) -> None:
+    shutil.copytree(PACKAGE, tmp_path / "featreg", ignore=shutil.ignore_patterns("__pycache__", "*.bc"))
+    (tmp_path / "featreg" / "__init__.py").write_text("raise RuntimeError('not to be run')\n")
+    listed = json.loads(LIST.read_text(encoding="utf-8"))
+    some = {MODULE: {"mark_matches": listed[MODULE]["mark_matches"], "gone": [["int"]]}}
+    (tmp_path / "featreg" / "runtime" / LIST.name).write_text(json.dumps(some))
+    script = tmp_path / "featreg" / "runtime" / "preparing.py"
+    done = subprocess.run(
+        [sys.executable, str(script), str(tmp_path), "1"], capture_output=True, text=True, check=True, cwd=tmp_path
+    )
+    assert done.stdout == f"{MODULE}.gone: there is no such kernel any more\n"
+    (made,) = tmp_path.rglob("*.bc")
+    header, _, body = made.read_bytes().partition(b"\n")
+    (entry,) = json.loads(header)["kernels"]
+    assert (entry["kernel"], entry["key"]) == ("mark_matches", listed[MODULE]["mark_matches"][0])
+    start, size = entry["at"]
+    machine = precompiled.Machine()
+    assert machine.address(entry["symbol"], body[start : start + size])
