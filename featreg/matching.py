@@ -107,7 +107,8 @@ def match(
         safely, else threads. Of whole images `workers` is the most threads of OpenCV. How the work is run, by
         these and those below, never changes the result
     scheduler : address of a dask scheduler that runs the blocks, in place of `executor`
-    threads : most threads of OpenCV on whole images, in place of `workers`; a worker uses one
+    threads : most threads on whole images, in place of `workers`; with two or more both images are looked at side by
+        side. A worker uses one
     resume : folder in which finished blocks are kept, and looked for; of whole images nothing is kept
     progress : called with (blocks done, blocks in all), of whole images with (steps done, steps in all)
     cancel : an event; when set, the work stops between blocks or stages with a `CancelledError`

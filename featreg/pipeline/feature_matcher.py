@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from featreg.errors import ParameterError
 from featreg.interfaces import Descriptor, Detector, Matcher, Nearest, Plugin
+from featreg.runtime.threads import side_by_side
 from featreg.runtime.timing import stage
 from featreg.types import Features, FloatArray, Image, IntArray, Matches
 
@@ -57,13 +61,16 @@ class FeatureMatcher(Matcher):
 
     def match(self, reference: Image, secondary: Image) -> Matches:
         with stage("detect"):
-            found = [self.detector.detect_features(image).best(self.n_features) for image in (reference, secondary)]
+            found = self._each(
+                lambda image: self.detector.detect_features(image).best(self.n_features), [(reference,), (secondary,)]
+            )
         if not len(found[0]) or not len(found[1]):
             return Matches.empty()
         rotation = self._vote(reference, secondary, *found)
         if rotation is not None:
             found = [replace(f, angle=np.full(len(f), turn)) for f, turn in zip(found, (0.0, rotation), strict=True)]
-        a, b = self._describe(reference, found[0]), self._describe(secondary, found[1])
+        with stage("describe"):
+            a, b = self._each(self._describe, [(reference, found[0]), (secondary, found[1])])
         with stage("match"):
             pairs, score = self.nearest.match_features(a, b)
         i, j = pairs.T
@@ -82,8 +89,12 @@ class FeatureMatcher(Matcher):
         if self.descriptor is None:
             name = type(self.detector).__name__
             raise ParameterError(f"detector {name} gives no descriptors: choose one, as in descriptor='brief'")
-        with stage("describe"):
-            return self.descriptor.describe_features(image, features)
+        return self.descriptor.describe_features(image, features)
+
+    def _each(self, function: Callable[..., Features], given: Sequence[tuple[Any, ...]]) -> list[Features]:
+        """A function of each image, side by side where threads were asked for and all parts are arrays and kernels."""
+        work = [partial(function, *arguments) for arguments in given]
+        return side_by_side(work) if all(part.compiled for part in self.parts) else [one() for one in work]
 
     def _vote(self, reference: Image, secondary: Image, a: Features, b: Features) -> float | None:
         described = self.descriptor is None and not (a.descriptors is None and b.descriptors is None)
@@ -91,8 +102,8 @@ class FeatureMatcher(Matcher):
             return None
         if (a.angle == a.angle[0]).all() or (b.angle == b.angle[0]).all():
             return None
-        first = self._describe(reference, a.best(VOTERS))
-        second = self._describe(secondary, b.best(VOTERS))
+        with stage("describe"):
+            first, second = self._each(self._describe, [(reference, a.best(VOTERS)), (secondary, b.best(VOTERS))])
         with stage("rotation"):
             pairs, _ = self.nearest.match_features(first, second)
             return common_rotation(second.angle[pairs[:, 1]] - first.angle[pairs[:, 0]])

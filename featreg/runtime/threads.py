@@ -5,11 +5,17 @@ from __future__ import annotations
 import operator
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from typing import Any
+from contextvars import ContextVar, copy_context
+from typing import Any, TypeVar
 
 from featreg.errors import ParameterError
+
+T = TypeVar("T")
+#: How many threads were asked for around; 1 where nobody asked.
+_asked: ContextVar[int] = ContextVar("featreg_threads", default=1)
 
 #: Read by the numeric libraries when they are first imported.
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
@@ -74,8 +80,32 @@ def limited_threads(count: int | None, algebra: int | None = None) -> Iterator[N
     algebra = count if algebra is None else algebra
     if algebra is not None and "numpy" not in sys.modules:
         limit_algebra(algebra)
-    with nullcontext() if count is None else opencv_threads(count):
-        yield
+    token = _asked.set(1 if count is None else count)
+    try:
+        with nullcontext() if count is None else opencv_threads(count):
+            yield
+    finally:
+        _asked.reset(token)
+
+
+def side_by_side(work: Sequence[Callable[[], T]]) -> list[T]:
+    """Run functions that do not touch each other's things, and return what they return, in order.
+
+    They run at the same time where `limited_threads` around allows more than one thread, which then share OpenCV's;
+    one after the other where nobody asked for more. The results are the same.
+    """
+    threads = min(_asked.get(), len(work))
+    if threads < 2:
+        return [function() for function in work]
+    with opencv_threads(_asked.get() // threads), ThreadPoolExecutor(threads) as pool:
+        running = [pool.submit(copy_context().run, _alone, function) for function in work]
+        return [future.result() for future in running]
+
+
+def _alone(function: Callable[[], T]) -> T:
+    """Run a function in a context of its own, in which no more threads are asked for."""
+    _asked.set(1)
+    return function()
 
 
 def limit_algebra(count: int) -> None:

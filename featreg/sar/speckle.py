@@ -11,6 +11,8 @@ F32 = NDArray[np.float32]
 
 # Relative to the mean amplitude: darker pixels (shadow, quantised zeros) say nothing more.
 FLOOR = 1e-2
+# Pixels of a strip.
+STRIP = 1 << 16
 
 
 def log_amplitude(image: Image) -> F32:
@@ -69,8 +71,15 @@ def _mean_amplitude(image: Image) -> float:
 def _log_amplitude(image: Image) -> F32:
     import cv2
 
-    mean = mean_amplitude(image)
-    return np.asarray(cv2.log(np.maximum(filled_amplitude(image), max(FLOOR * mean, 1e-30))), np.float32)
+    amplitude = filled_amplitude(image)
+    floor = np.float32(max(FLOOR * mean_amplitude(image), 1e-30))
+    # In strips that stay in the cache: a large image is written to memory once.
+    out, rows = np.empty_like(amplitude), max(1, STRIP // max(amplitude.shape[1], 1))
+    strip = np.empty((rows, amplitude.shape[1]), np.float32)
+    for start in range(0, len(amplitude), rows):
+        part = amplitude[start : start + rows]
+        cv2.log(np.maximum(part, floor, out=strip[: len(part)]), out[start : start + rows])
+    return out
 
 
 def _despeckled(image: Image, sigma: float) -> F32:

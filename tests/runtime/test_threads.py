@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import threading
 from typing import Any
 
 import cv2
@@ -13,7 +14,8 @@ import pytest
 
 import featreg
 from featreg.errors import ParameterError
-from featreg.runtime.threads import available_processors, limited_threads, single_threaded, worker_count
+from featreg.runtime.threads import available_processors, limited_threads, side_by_side, single_threaded, worker_count
+from featreg.simulate import sar_pair
 
 
 def test_opencv_gets_its_threads_back() -> None:
@@ -31,6 +33,35 @@ def test_linear_algebra_is_limited_before_it_is_imported(count: Any, algebra: An
     environment = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert done.stdout.split() == [str(seen)] * 2
+
+
+def test_work_runs_side_by_side_only_where_threads_were_asked_for() -> None:
+    here = threading.get_ident()
+    assert side_by_side([threading.get_ident] * 3) == [here] * 3
+    with limited_threads(1):
+        assert side_by_side([threading.get_ident] * 3) == [here] * 3
+    meeting = threading.Barrier(2, timeout=30)
+
+    def met(name: str) -> tuple[str, int, list[int]]:
+        meeting.wait()  # passes only where both run at once
+        return name, cv2.getNumThreads(), side_by_side([threading.get_ident] * 2)
+
+    with limited_threads(2):
+        (first, threads, inner), (second, _, other) = side_by_side([lambda: met("a"), lambda: met("b")])
+        assert (first, second, threads) == ("a", "b", 1)
+        assert len({*inner, here}) == len({*other, here}) == 2
+        assert cv2.getNumThreads() == 2
+        with pytest.raises(ZeroDivisionError):
+            side_by_side([lambda: 1 // 0, lambda: 1])
+
+
+def test_a_registration_gives_the_same_bits_for_any_number_of_threads() -> None:
+    pair = sar_pair((360, 380), seed=2)
+    found = [featreg.match(pair.reference, pair.secondary, n_features=600, threads=n) for n in (1, 2, 3)]
+    for other in found[1:]:
+        np.testing.assert_array_equal(other.matches.secondary_xy, found[0].matches.secondary_xy)
+        assert {k: g.value for k, g in other.gates.items()} == {k: g.value for k, g in found[0].gates.items()}
+        assert {"detect", "describe"} <= other.timings.keys()
 
 
 def test_the_number_of_workers() -> None:
