@@ -32,6 +32,7 @@ bench: $(VENV)/.installed
 	$(BIN)/python benchmarks/pieces.py
 	$(BIN)/python benchmarks/pairs.py
 	$(BIN)/python benchmarks/import_time.py
+	$(BIN)/python benchmarks/start.py
 
 kernels: $(VENV)/.installed-dev
 	$(BIN)/python -c "from featreg.warming import record_kernels; record_kernels()"

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.interfaces import Model
-from featreg.pipeline.aligned import resampled
 from featreg.sar.correlation import Peaks, local_correlations, peaks
 from featreg.sar.speckle import despeckled
 from featreg.types import BoolArray, FloatArray, Image, IntArray
@@ -109,8 +108,10 @@ class Agreement:
             valid = smaller(covered.astype(np.float32), step) > 0.999
         if np.count_nonzero(valid) < (2 * HALF + 1) ** 2:
             return None
-        views = despeckled(reference), resampled(despeckled(secondary), model, reference.shape)
-        here, there = (contrast(smaller(view, step), valid) for view in views)
+        # Of the smoothed secondary every other pixel of the reference's grid is enough.
+        stride = step // 2
+        there = smaller(sampled(despeckled(secondary), model, reference.shape, stride), step // stride)
+        here, there = (contrast(view, valid) for view in (smaller(despeckled(reference), step), there))
         return cls(here, there, valid, step)
 
     @cached_property
@@ -190,6 +191,27 @@ def smaller(view: F32, step: int) -> F32:
     height, width = view.shape[0] // step, view.shape[1] // step
     return np.asarray(
         cv2.resize(view[: step * height, : step * width], (width, height), interpolation=cv2.INTER_AREA), np.float32
+    )
+
+
+def sampled(view: F32, model: Model, shape: tuple[int, int], stride: int) -> F32:
+    """The map `view` of the secondary at the centres of squares of `stride` px of a reference of (H, W).
+
+    Squares that do not fit are left out; the rim of the secondary goes on outside it.
+    """
+    import cv2
+
+    size = (shape[1] // stride, shape[0] // stride)
+    matrix = model.matrix
+    if matrix is not None and np.array_equal(matrix[2], [0, 0, 1]):
+        middle = (stride - 1) / 2
+        into = (matrix @ [[stride, 0, middle], [0, stride, middle], [0, 0, 1]])[:2]
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        return np.asarray(cv2.warpAffine(view, into, size, flags=flags, borderMode=cv2.BORDER_REPLICATE), np.float32)
+    across, down = (np.arange(n, dtype=np.float64) * stride + (stride - 1) / 2 for n in size)
+    at = model(np.stack(np.meshgrid(across, down), -1).reshape(-1, 2)).reshape(*size[::-1], 2).astype(np.float32)
+    return np.asarray(
+        cv2.remap(view, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32
     )
 
 

@@ -11,13 +11,15 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 import featreg
-from featreg.geometry import Translation
+from featreg.geometry import Affine, Homography, Translation
+from featreg.interfaces import Model
 from featreg.io import as_image
 from featreg.pipeline.agreement import Agreement
 from featreg.pipeline.identical import identical_pixels
 
 F32 = NDArray[np.float32]
 SIDE = 400
+TURNED_HOMOGRAPHY = Homography(np.array([[0.98, 0.1, 3.3], [-0.1, 1.02, 6.6], [1e-5, 2e-5, 1.0]]))
 
 
 def scene(seed: int, side: int = SIDE) -> F32:
@@ -199,3 +201,19 @@ def test_images_of_one_scene_stay_ok(case: str) -> None:
     assert result.status == "ok", result.reason
     assert result.model
     assert result.model(np.array([[150.0, 150.0]]))[0] - [150, 150] == pytest.approx(shift, abs=0.3)
+
+
+@pytest.mark.parametrize("model", [Affine(np.array([[0.98, 0.1, 3.3], [-0.1, 1.02, -4.6]])), TURNED_HOMOGRAPHY])
+def test_every_other_pixel_of_a_resampled_view(model: Model) -> None:
+    """At a stride of 1 the whole view; at 2 what lies between its pixels."""
+    from featreg.pipeline.agreement import sampled
+    from featreg.pipeline.aligned import resampled
+
+    rng = np.random.default_rng(0)
+    view: F32 = np.asarray(cv2.GaussianBlur(rng.normal(size=(81, 90)).astype(np.float32), (0, 0), 8.0), np.float32)
+    whole: F32 = resampled(view, model, (71, 84))
+    np.testing.assert_allclose(sampled(view, model, (71, 84), 1), whole, atol=1e-5)
+    between: F32 = (
+        np.asarray(whole[:70:2, ::2] + whole[1:70:2, ::2] + whole[:70:2, 1::2] + whole[1:70:2, 1::2], np.float32) / 4
+    )
+    np.testing.assert_allclose(sampled(view, model, (71, 84), 2), between, atol=0.02 * float(view.std()))
