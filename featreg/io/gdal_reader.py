@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -142,6 +143,25 @@ class GdalReader:
             opaque = dataset.read(dataset.colorinterp.index(ColorInterp.alpha) + 1, window=box) != 0
             mask = opaque if mask is None else mask & opaque
         return mask
+
+
+def within_folder(path: Path, reader: GdalReader) -> GdalReader:
+    """Return a reader whose files all lie in the folder of its header or below: a header can name any.
+
+    Raises
+    ------
+    InputError
+        One lies elsewhere; the reader is closed then.
+    """
+    home = path.parent.resolve()
+    for file in reader.files:
+        if not Path(file).resolve().is_relative_to(home) and Path(file).resolve() != path.resolve():
+            reader.close()
+            raise InputError(
+                f"{path}: its header reaches outside its folder ('{file[:80]}'), which is refused; put all files of "
+                "the image into one folder"
+            )
+    return reader
 
 
 def _through_palette(samples: NDArray[Any], palette: dict[int, Any]) -> tuple[NDArray[Any], BoolArray]:

@@ -14,7 +14,7 @@ from featreg.errors import InputError
 from featreg.io.array_files import open_matlab, open_numpy
 from featreg.io.bands import BandLike, Choice, choose, name_of, read_choice
 from featreg.io.gdal_drivers import DRIVERS, KNOWN, TOLD_BY_GDAL, driver_by_content, drivers_by_suffix
-from featreg.io.gdal_reader import GdalReader
+from featreg.io.gdal_reader import GdalReader, within_folder
 from featreg.io.hdf5 import is_classic_netcdf, is_hdf5, open_classic_netcdf, open_hdf5
 from featreg.io.product_folders import LEADING, MANIFEST, FolderTree, ZipTree, open_member, open_product, open_safe
 from featreg.io.reader import Raster, Reader
@@ -114,7 +114,7 @@ def _open_file(name: SourceName, head: bytes) -> Reader:
                 "%s: is a SIDD of version %s; its pixels are read, its measurement metadata are not", path, version
             )
     if driver is not None:
-        return GdalReader(str(path.absolute()), [driver.name], str(path))
+        return within_folder(path, GdalReader(str(path.absolute()), [driver.name], str(path)))
     if path.suffix.lower() == ".mat":
         return open_matlab(path)
     return _by_what_lies_beside(path, head)
@@ -124,14 +124,15 @@ def _by_what_lies_beside(path: Path, head: bytes) -> Reader:
     """A raster without a mark of its own, which its header beside it describes."""
     for pattern, driver in LEADING:
         if pattern.fullmatch(path.name):
-            return GdalReader(str(path.absolute()), [driver], str(path))
+            return within_folder(path, GdalReader(str(path.absolute()), [driver], str(path)))
     likely = [driver for driver, sidecar in _sidecars(path) if sidecar.is_file()]
     if likely:
-        return GdalReader(str(path.absolute()), likely, str(path))
+        return within_folder(path, GdalReader(str(path.absolute()), likely, str(path)))
     try:
-        return GdalReader(str(path.absolute()), TOLD_BY_GDAL, str(path))
+        reader = GdalReader(str(path.absolute()), TOLD_BY_GDAL, str(path))
     except InputError as error:
         raise InputError(_unknown(path)) from error
+    return within_folder(path, reader)
 
 
 def _sidecars(path: Path) -> list[tuple[str, Path]]:

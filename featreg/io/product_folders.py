@@ -18,7 +18,7 @@ from xml.etree import ElementTree
 from featreg.errors import InputError
 from featreg.io.gdal_drivers import DRIVERS, driver_by_content
 from featreg.io.gdal_errors import decoding
-from featreg.io.gdal_reader import GdalReader
+from featreg.io.gdal_reader import GdalReader, within_folder
 from featreg.io.reader import Band, Raster, Reader
 from featreg.io.window import Window
 from featreg.types import Geolocation
@@ -147,7 +147,8 @@ def open_product(tree: Tree) -> Reader | None:
     for pattern, driver in LEADING:
         found = [n for n in names if pattern.fullmatch(posixpath.basename(n))]
         if len(found) == 1:
-            return GdalReader(tree.gdal_name(found[0]), [driver], tree.called)
+            reader = GdalReader(tree.gdal_name(found[0]), [driver], tree.called)
+            return within_folder(tree.folder / found[0], reader) if isinstance(tree, FolderTree) else reader
     return None
 
 
