@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +20,7 @@ from featreg.io.images import small_image
 from featreg.io.masks import MaskLike
 from featreg.io.raster_source import open_source
 from featreg.pipeline.assembly import DEFAULT_METHOD, assemble_all
-from featreg.pipeline.choosing import first_trusted
+from featreg.pipeline.choosing import registered
 from featreg.pipeline.feature_matcher import FeatureMatcher
 from featreg.pipeline.keywords import bands_of, of_pipeline
 from featreg.pipeline.pipeline import Pipeline
@@ -151,14 +151,18 @@ def match(
                 "focus works on whole images, not on blocks: focus the files first (featreg focus IN -o OUT), or ask "
                 "for the whole images at once (block=False, --whole)"
             )
+        from featreg.scene.first_prior import overviews
         from featreg.scene.run import SceneOptions, match_scene
 
         here, there = (open_source(i, mask=m, band=b, **reading) for i, m, b in zip(given, masks, bands, strict=True))
         pipelines = assemble_all(method, blocks=True, **parts)
         with dask_client(scheduler, executor) as runner:
             options = SceneOptions(size or BLOCK, runner, workers, dem, height, resume, progress, cancel)
-            return _registered(
-                method, pipelines, lambda pipeline: match_scene(here, there, pipeline, options, **search)
+            return registered(
+                method,
+                pipelines,
+                lambda pipeline: match_scene(here, there, pipeline, options, **search),
+                lambda: overviews(here, there),
             )
     pipelines = assemble_all(method, **parts)
     if resume is not None:
@@ -172,19 +176,14 @@ def match(
                 first, second, focusing["focus"] = focused_inputs(first, second, focus)
             seconds |= focused
         pair = first, second
-        result = _registered(method, pipelines, lambda pipeline: pipeline.run(*pair, progress=progress, **search))
+        result = registered(
+            method, pipelines, lambda pipeline: pipeline.run(*pair, progress=progress, **search), lambda: pair
+        )
     return replace(
         result,
         timings={**seconds, **result.timings},
         provenance={**result.provenance, **focusing},
     )
-
-
-def _registered(
-    method: str | Pipeline | Matcher, pipelines: Sequence[Pipeline], attempt: Callable[[Pipeline], Registration]
-) -> Registration:
-    """The result of the method's only pipeline, or of those among which it chooses."""
-    return attempt(pipelines[0]) if len(pipelines) == 1 else first_trusted(str(method), pipelines, attempt)
 
 
 def keypoints_of(

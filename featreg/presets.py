@@ -20,7 +20,8 @@ class Preset:
     """A method: either a detector, a descriptor (None where the detector describes) and a nearest, or a matcher.
 
     Or a choice of methods: `methods` names those that are tried in order until one is trusted, and the other fields say
-    nothing.
+    nothing. Those of them that are `for_unlike` images come first where the two differ much in their speckle, as an
+    optical and a SAR image do.
 
     `filters` run in order; `locate` and `refine` say whether matches are measured again, and whether refinement is on,
     unless asked otherwise; `common_rotation` is that of
@@ -43,6 +44,7 @@ class Preset:
     trust: Mapping[str, Any] = field(default_factory=dict)
     refinement: Mapping[str, Any] = field(default_factory=dict)
     methods: tuple[str, ...] = ()
+    for_unlike: bool = False
 
     @property
     def parts(self) -> tuple[tuple[str, Part], ...]:
@@ -182,8 +184,8 @@ _SMNN = Part("kornia-smnn")
 
 PRESETS: Mapping[str, Preset] = {
     "auto": Preset(
-        "The first of sar-orb, rift and optical-sar whose result is trusted",
-        methods=("sar-orb", "rift", "optical-sar"),
+        "sar-orb, and where its result is not trusted sar-dense; that first where the images differ in their speckle",
+        methods=("sar-orb", "sar-dense"),
     ),
     "sar-orb": Preset(
         "SAR-OFAST corners on a ROEWA edge pyramid, BRIEF in one common direction, GMS, FSC",
@@ -285,6 +287,7 @@ PRESETS: Mapping[str, Preset] = {
         filters=(Part("fsc", {"threshold": 4.0}),),
         refine=False,
         trust=_DENSE_TRUST,
+        for_unlike=True,
     ),
     "rift-paper": Preset(
         "RIFT as in Li, Hu and Ai 2020, made rotation invariant as in RIFT2",

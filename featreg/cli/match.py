@@ -173,7 +173,7 @@ def summary(result: Registration, written: list[str]) -> str:
     provenance = result.provenance
     verdict = "ok" if result.status == "ok" else f"unreliable: {result.reason}"
     lines = [verdict, f"  method      {provenance['method']}, seed {provenance['seed']}"]
-    tried = [f"{one['method']} {one['status']}" for one in provenance.get("tried", ())]
+    tried = [f"{one['method']} {one['status']}" for one in provenance.get("choice", {}).get("tried", ())]
     lines += [f"  tried       {', '.join(tried)}"] if tried else []
     if result.model:
         trust = "" if result.status == "ok" else " (not to be trusted)"

@@ -36,7 +36,8 @@ def explain_registration(registration: Registration) -> str:
     """Return what a registration's verdict rests on, in lines of plain words."""
     kept = {name: int(mask.sum()) for name, mask in registration.stages.items()}
     model = registration.model
-    facts = [f"tried: {one['method']}, {one['status']}" for one in registration.provenance.get("tried", ())]
+    choice = registration.provenance.get("choice", {})
+    facts = [f"tried: {one['method']}, {one['status']}" for one in choice.get("tried", ())]
     facts += [f"tie points: {chain(int(registration.putative.sum()), kept)}, {int(registration.inliers.sum())} final"]
     if "locate" in kept:
         facts.append(f"located: {kept['locate'] or 'none'} of the matches, by windows that correlate")

@@ -18,7 +18,7 @@ from featreg.pipeline.inputs import input_image
 from featreg.pipeline.pipeline import Pipeline
 from featreg.results.registration import Registration
 from featreg.scene.prior import Prior
-from featreg.types import Matches
+from featreg.types import Image, Matches
 
 #: Longer side of the overviews of a coarse match, px.
 OVERVIEW = 1000
@@ -115,8 +115,8 @@ def coarse_match(pipeline: Pipeline, reference: Source, secondary: Source, seed:
 
     The model is the identity where the registration could not be made.
     """
-    factor = max(1, math.ceil(max(*reference.shape, *secondary.shape) / OVERVIEW))
-    result = pipeline.run(reference.overview(factor), secondary.overview(factor), seed=seed)
+    factor = _reduction(reference, secondary)
+    result = pipeline.run(*overviews(reference, secondary), seed=seed)
     if isinstance(result.model, FailedFit) or result.model.matrix is None:
         return result, Affine(np.eye(3)[:2])
     # The pixel (x, y) of an overview has its centre at factor * x + (factor - 1) / 2.
@@ -127,4 +127,14 @@ def coarse_match(pipeline: Pipeline, reference: Source, secondary: Source, seed:
 
 def coarse_uncertainty(reference: Source, secondary: Source) -> float:
     """How far the match of the overviews may be off, px of the scenes."""
-    return COARSE_PX * max(1, math.ceil(max(*reference.shape, *secondary.shape) / OVERVIEW)) + 2.0
+    return COARSE_PX * _reduction(reference, secondary) + 2.0
+
+
+def overviews(reference: Source, secondary: Source) -> tuple[Image, Image]:
+    """Both scenes, reduced alike to at most about 1000 pixels."""
+    factor = _reduction(reference, secondary)
+    return reference.overview(factor), secondary.overview(factor)
+
+
+def _reduction(reference: Source, secondary: Source) -> int:
+    return max(1, math.ceil(max(*reference.shape, *secondary.shape) / OVERVIEW))

@@ -10,12 +10,14 @@ import pytest
 
 import featreg
 from featreg.errors import ParameterError
+from featreg.io import as_image
 from featreg.matching import check_keywords, keypoints_of
 from featreg.pipeline.assembly import assemble, assemble_all
-from featreg.pipeline.choosing import first_trusted
+from featreg.pipeline.choosing import first_trusted, in_order
 from featreg.presets import PRESETS
 from featreg.results.explaining import explain_registration
-from featreg.simulate import SimulatedPair
+from featreg.sar.speckle import equivalent_looks
+from featreg.simulate import SimulatedPair, sar_pair
 
 
 def attempts(method: str) -> tuple[list[str], featreg.Registration]:
@@ -42,8 +44,8 @@ def test_the_first_trusted_method_ends_the_search() -> None:
     assert seen == ["orb", "akaze"]
     assert found.status == "ok"
     assert found.provenance["method"] == "akaze"
-    assert found.provenance["choice"] == "any"
-    assert [(one["method"], one["status"]) for one in found.provenance["tried"]] == [
+    assert found.provenance["choice"]["name"] == "any"
+    assert [(one["method"], one["status"]) for one in found.provenance["choice"]["tried"]] == [
         ("orb", "unreliable"),
         ("akaze", "ok"),
     ]
@@ -57,7 +59,7 @@ def test_where_none_is_trusted_the_nearest_is_returned_and_all_are_named() -> No
     assert found.status == "unreliable"
     assert found.provenance["method"] == "akaze"  # it has a model, the others none
     assert found.reason.startswith("none of orb, akaze, brisk is trusted; akaze: ")
-    assert all(one["reason"] for one in found.provenance["tried"])
+    assert all(one["reason"] for one in found.provenance["choice"]["tried"])
 
 
 def test_an_easy_pair_needs_the_first_method_only(pair: SimulatedPair, tmp_path: Path) -> None:
@@ -65,10 +67,10 @@ def test_an_easy_pair_needs_the_first_method_only(pair: SimulatedPair, tmp_path:
     found = featreg.match(pair.reference, pair.secondary, method="auto")
     alone = featreg.match(pair.reference, pair.secondary, method=first)
     assert found.status == "ok"
-    assert [one["method"] for one in found.provenance["tried"]] == [first]
+    assert [one["method"] for one in found.provenance["choice"]["tried"]] == [first]
     np.testing.assert_array_equal(found.matches.secondary_xy, alone.matches.secondary_xy)
     found.to_json(tmp_path / "result.json")
-    assert featreg.Registration.from_json(tmp_path / "result.json").provenance["choice"] == "auto"
+    assert featreg.Registration.from_json(tmp_path / "result.json").provenance["choice"]["name"] == "auto"
 
 
 def test_keywords_go_to_every_method_or_none() -> None:
@@ -86,3 +88,26 @@ def test_keywords_go_to_every_method_or_none() -> None:
 
 def test_a_choice_has_no_keypoints_of_its_own(pair: SimulatedPair) -> None:
     assert keypoints_of(pair.reference, method="auto") is None
+
+
+def test_unlike_images_are_given_to_the_method_for_them_first() -> None:
+    made = assemble_all("auto")
+    alike = sar_pair((300, 300), looks=1, seed=1)
+    few, many = sar_pair((300, 300), looks=1, seed=1), sar_pair((300, 300), looks=200, seed=1)
+    ordered, probe = in_order(made, as_image(alike.reference), as_image(alike.secondary))
+    assert [one.name for one in ordered] == list(PRESETS["auto"].methods)
+    assert not probe["unlike"]
+    ordered, probe = in_order(made, as_image(few.reference), as_image(many.secondary))
+    assert probe["unlike"]
+    assert PRESETS[ordered[0].name].for_unlike
+    assert {one.name for one in ordered} == set(PRESETS["auto"].methods)
+
+
+def test_looks_of_speckle_without_texture() -> None:
+    rng = np.random.default_rng(0)
+    for looks in (1, 2, 4, 16):
+        speckle = np.sqrt(rng.gamma(looks, 1 / looks, (200, 200))).astype(np.float32)
+        # The lower fifth of windows of 25 samples lies a quarter below the mean variance.
+        assert equivalent_looks(as_image(speckle)) == pytest.approx(1.35 * looks, rel=0.25)
+    even = featreg.Image(np.full((50, 50), 7.0, np.float32), np.ones((50, 50), np.bool_))
+    assert equivalent_looks(even) == np.inf
