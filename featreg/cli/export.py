@@ -51,12 +51,14 @@ def export(
 
     inputs = [result_file, str(tie_point_file(Path(result_file))), reference, secondary]
     check_output(output, "--output", inputs=[f for f in inputs if f is not None])
+    from featreg.exports.formats import WITHOUT_POINTS
     from featreg.exports.formats import export as write
     from featreg.results.registration import Registration
 
     result = Registration.from_json(result_file)
     count = write(result, output, to=to, stage=stage, reference=reference, secondary=secondary)
-    typer.echo(f"written: {output}, {count} tie points ({stage})")
+    held = "the secondary's corrected RPC" if to in WITHOUT_POINTS else f"{count} tie points ({stage})"
+    typer.echo(f"written: {output}, {held}")
     if result.status != "ok":
         typer.echo(f"warning: the registration is {result.status} ({result.reason})", err=True)
     raise typer.Exit(0 if result.status == "ok" else 3)

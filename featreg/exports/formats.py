@@ -41,6 +41,10 @@ FORMATS: Mapping[str, Format] = {
 }
 
 
+#: Formats whose files hold no tie points.
+WITHOUT_POINTS = ("rpc",)
+
+
 def export(
     registration: Registration | str | Path,
     path: str | Path,
@@ -64,7 +68,7 @@ def export(
     Returns
     -------
     int
-        Tie points written; 0 is no error.
+        Tie points written; 0 is no error, and what a format without them gives.
 
     Raises
     ------
@@ -89,7 +93,7 @@ def export(
         write(content, temporary)
         if not temporary.is_file():
             raise InputError(f"{path}: nothing was written")
-    return len(content.matches)
+    return 0 if to in WITHOUT_POINTS else len(content.matches)
 
 
 def read_tie_points(

@@ -70,8 +70,8 @@ def draw_matches(
     checked_target(path)
     groups = _groups(registration, _known(truth), threshold)
     views = views_to_draw_on(reference, secondary)
-    header = [_status(registration), _counts(registration, groups)]
     lines = _lines(registration, groups, views, (reference.shape, secondary.shape), max_lines)
+    header = [_status(registration), [*_counts(registration, groups), *_drawn(groups, lines)]]
     Sheet([views], ["reference", "secondary"], header, lines).write(path)
 
 
@@ -156,8 +156,8 @@ def registration_sheet(
     header: list[list[Note]] = []
     if verdict:
         header = [[*_status(registration), *_figures(registration, shapes[0], known)]]
-    header.append(_counts(registration, groups))
     lines = _lines(registration, groups, views, (shapes[0], shapes[1]), 250)
+    header.append([*_counts(registration, groups), *_drawn(groups, lines)])
     return Sheet(rows, labels, header, lines)
 
 
@@ -249,6 +249,12 @@ def _counts(registration: Registration, groups: list[_Group]) -> list[Note]:
     candidates = int(registration.putative.sum())
     chain = [f"{candidates} candidates", *(f"{mask.sum()} after {name}" for name, mask in registration.stages.items())]
     return [*notes, Note(", ".join(chain), FAINT)]
+
+
+def _drawn(groups: list[_Group], lines: list[Lines]) -> list[Note]:
+    """How many of the tie points are drawn, where that is not all of them."""
+    shown, every = sum(len(one.start) for one in lines), sum(int(group.rows.sum()) for group in groups)
+    return [Note(f"{shown} of these {every} drawn, spread over the image", FAINT)] if shown < every else []
 
 
 def _figures(registration: Registration, shape: tuple[int, int], truth: Truth | None) -> list[Note]:

@@ -6,6 +6,7 @@ import copy
 import html.parser
 import json
 import pickle
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -165,6 +166,17 @@ def test_a_figure_is_the_picture_that_the_command_writes(
     assert a is not None
     assert b is not None
     np.testing.assert_array_equal(a, b)
+
+
+def test_a_picture_says_how_many_of_its_tie_points_it_shows(result: Registration) -> None:
+    def texts(figure: Any) -> str:
+        return " ".join(text.get_text() for text in figure.axes[0].texts)
+
+    every = int(result.inliers.sum())
+    assert every > 400
+    assert re.search(r"\d+ of these \d+ drawn", texts(result.plot()))
+    few = result.matches.take(np.arange(20))
+    assert "drawn" not in texts(few.plot())
 
 
 def test_images_of_another_size_and_unknown_metrics_are_refused(result: Registration, study: Any) -> None:

@@ -147,12 +147,18 @@ def test_the_elevation_model_is_never_replaced(
 
 @pytest.mark.parametrize("name", ["sec_RPC.TXT", "sec.RPB"])
 def test_the_corrected_rpc_is_exported_and_read_by_gdal(
-    scene: ScenePair, model: RpcBias, result: Path, tmp_path: Path, name: str
+    scene: ScenePair,
+    model: RpcBias,
+    result: Path,
+    tmp_path: Path,
+    name: str,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     copy = tmp_path / "sec.tif"
     with rasterio.open(copy, "w", driver="GTiff", width=320, height=256, count=1, dtype="uint8") as file:
         file.write(np.random.default_rng(0).integers(1, 255, (1, 256, 320)).astype(np.uint8))
     assert main(["export", str(result), "--to", "rpc", "-o", str(tmp_path / name)]) == 0
+    assert capsys.readouterr().out == f"written: {tmp_path / name}, the secondary's corrected RPC\n"
     with rasterio.open(copy) as file:
         assert file.rpcs is not None
     image = read_image(copy)
