@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +14,23 @@ from scipy.optimize import brentq
 
 import featreg
 from featreg.errors import InputError
-from featreg.geolocation import ConstantHeight, RangeDopplerSensor, RpcBias, ground_level, sensor_from_dict, sensor_of
+from featreg.geolocation import (
+    ConstantHeight,
+    RangeDopplerSensor,
+    RpcBias,
+    SicdSensor,
+    ground_level,
+    sensor_from_dict,
+    sensor_of,
+)
 from featreg.geolocation.orbit import Orbit
 from featreg.geolocation.pixel_size import pixel_size
 from featreg.io import as_image
 from featreg.io.ellipsoid import earth_fixed, geodetic
 from featreg.results.input_image import InputImage
 from featreg.simulate.orbit import RangeDoppler
-from featreg.simulate.scene import simulate_scene
+from featreg.simulate.scene import ScenePair, simulate_scene
+from featreg.simulate.sicd import write_sicd
 from featreg.types import FloatArray, Geolocation, Image
 
 #: A satellite like Sentinel-1: radius in metres, radians a second along the orbit, inclination, turn of the Earth.
@@ -244,33 +254,59 @@ class TestBias:
         again = sensor_from_dict(json.loads(json.dumps(model.corrected_sensor().to_dict())))
         np.testing.assert_allclose(again.ground_to_image(exact.image_to_ground(p, 100.0), 100.0), there, atol=1e-5)
 
-    @pytest.mark.slow
-    def test_of_a_simulated_pair_in_blocks(self, tmp_path: Path) -> None:
-        """3 px of time and -2 px of range are found to 0.05 px in the middle, with the DEM, from the pixels alone."""
-        pair = simulate_scene(tmp_path, (600, 640), relief=120.0, bias=(-2.0, 3.0), seed=4)
+
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory: pytest.TempPathFactory) -> ScenePair:
+    """Two passes over hills of 120 m; the secondary lies -2 px of range and 3 px of time off what it states."""
+    return simulate_scene(tmp_path_factory.mktemp("pair"), (600, 640), relief=120.0, bias=(-2.0, 3.0), seed=4)
+
+
+def views(pair: ScenePair) -> list[RangeDoppler]:
+    """What both images state; the secondary's knows nothing of its bias."""
+    first, second = pair.truth.reference, pair.truth.secondary
+    assert isinstance(first, RangeDoppler)
+    assert isinstance(second, RangeDoppler)
+    middle = second.middle[0] - pair.bias[0], second.middle[1] - pair.bias[1]
+    return [first, replace(second, middle=middle)]
+
+
+@pytest.mark.slow
+class TestPairInBlocks:
+    """The bias is found to 0.05 px in the middle, with the DEM, from the pixels alone."""
+
+    def test_by_orbit_and_timing(self, pair: ScenePair) -> None:
         images = []
-        for path, view in ((pair.reference, pair.truth.reference), (pair.secondary, pair.truth.secondary)):
-            assert isinstance(view, RangeDoppler)
+        for path, view in zip((pair.reference, pair.secondary), views(pair), strict=True):
             image = as_image(path)
-            # The secondary's own statement knows nothing of the bias.
-            stated = view if path == pair.reference else _without(view, pair.bias)
-            place = Geolocation(sensor=stated.sensor(image.shape, 260.0).to_dict())
+            place = Geolocation(sensor=view.sensor(image.shape, 260.0).to_dict())
             images.append(Image(image.pixels, image.mask, place, path.name, image.source_dtype, image.scale))
         result = featreg.match(*images, model="rpc-bias", dem=str(pair.dem), block=320, seed=0)
         assert result.status == "ok"
         model = result.model
         assert isinstance(model, RpcBias)
         middle = np.array([[320.0, 300.0]])
-        found = (model(middle) - model.transfer(middle))[0]
-        np.testing.assert_allclose(found, pair.bias, atol=0.05)
+        np.testing.assert_allclose((model(middle) - model.transfer(middle))[0], pair.bias, atol=0.05)
         secondary = model.secondary
         assert isinstance(secondary, RangeDopplerSensor)
         metres, seconds = model.timing_bias()
         assert metres == pytest.approx(2.0 * secondary.range_spacing, abs=0.07 * secondary.range_spacing)
         assert seconds == pytest.approx(-3.0 * secondary.line_interval, abs=0.07 * secondary.line_interval)
 
-
-def _without(view: RangeDoppler, bias: tuple[float, float]) -> RangeDoppler:
-    from dataclasses import replace
-
-    return replace(view, middle=(view.middle[0] - bias[0], view.middle[1] - bias[1]))
+    @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of sarkit
+    def test_by_the_projections_of_two_sicds(self, pair: ScenePair, tmp_path: Path) -> None:
+        pytest.importorskip("sarkit")
+        rng = np.random.default_rng(0)
+        files = []
+        for path, view in zip((pair.reference, pair.secondary), views(pair), strict=True):
+            amplitude = as_image(path).amplitude
+            samples = (amplitude * np.exp(1j * rng.uniform(0, 2 * np.pi, amplitude.shape))).astype(np.complex64)
+            files.append(tmp_path / f"{path.stem}.nitf")
+            write_sicd(files[-1], samples, view, 260.0)
+        result = featreg.match(*files, model="rpc-bias", dem=str(pair.dem), block=320, seed=0)
+        assert result.status == "ok"
+        model = result.model
+        assert isinstance(model, RpcBias)
+        assert isinstance(model.secondary, SicdSensor)
+        # Rows of a SICD are range.
+        middle = np.array([[300.0, 320.0]])
+        np.testing.assert_allclose((model(middle) - model.transfer(middle))[0], pair.bias[::-1], atol=0.05)
