@@ -50,6 +50,15 @@ def halved(image: F32) -> F32:
     return np.asarray(small, np.float32)
 
 
+def shared_pixels(reference: Image, secondary: Image, model: Model) -> BoolArray:
+    """(H, W) pixels of the reference that are valid in both images, the secondary resampled by a model."""
+    import cv2
+
+    valid = clear(secondary, 1).view(np.uint8)
+    there = warped(valid, model, reference.shape, cv2.INTER_NEAREST, cv2.BORDER_CONSTANT)
+    return np.asarray(there.view(np.bool_) & reference.mask)
+
+
 def linear_parts(model: Model, xy: FloatArray) -> FloatArray:
     """(N, 2, 2) linear part of a model at each of (N, 2) points."""
     matrix = model.matrix

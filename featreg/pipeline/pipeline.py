@@ -167,7 +167,8 @@ class Pipeline:
                 with stage("refine"):
                     found = None
                     if draft.model:
-                        found = self.refine.run(reference, secondary, draft.model, matches, self.n_features)
+                        near = self.locate is not None and bool((draft.inliers & draft.stages["locate"]).any())
+                        found = self.refine.run(reference, secondary, draft.model, matches, self.n_features, near=near)
                     draft = refined(draft, found, 0 if found is None else self.refine.least(found.candidates))
                 useful = bool(draft.stages["refine"].any())
             steps.advance()

@@ -12,11 +12,20 @@ from numpy.typing import NDArray
 
 from featreg.geometry.robust import irls
 from featreg.interfaces import FailedFit, Model
-from featreg.pipeline.aligned import MARGIN, WholeWindows, halved, peak_covariance, resampled, variance_factor
+from featreg.pipeline.aligned import (
+    MARGIN,
+    WholeWindows,
+    halved,
+    peak_covariance,
+    resampled,
+    shared_pixels,
+    variance_factor,
+)
 from featreg.runtime.parameters import Positive, checked
 from featreg.sar.bridging import on_sample
 from featreg.sar.correlation import Peaks, local_correlations, peaks
-from featreg.sar.speckle import despeckled
+from featreg.sar.correlation_filter import correlation_filter
+from featreg.sar.speckle import despeckled, log_amplitude
 from featreg.types import BoolArray, FloatArray, Image, IntArray, Matches
 
 F32 = NDArray[np.float32]
@@ -24,6 +33,11 @@ F32 = NDArray[np.float32]
 # Points measured in the first pass, and rounds of each robust fit.
 SAMPLE = 1000
 ROUNDS = 6
+# The filter before the second pass looks about so many pixels beyond a window.
+FILTER_MARGIN = 2
+# Windows of two places that tell how high peaks are by chance: most of them, the fewest that tell, and the height, of a
+# filtered window of the usual size, that chance alone must not be taken to reach.
+MOST_CHANCE, LEAST_CHANCE, LEAST_HEIGHT = 200, 30, 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,17 +68,21 @@ class Refine:
     Parameters
     ----------
     half : half the correlation window, px; it is 2 * half + 1 wide
-    sigma : of the Gaussian that smooths the log-amplitude, px
+    sigma : of the Gaussian that smooths the log-amplitude before the first pass, px
     search : largest shift looked for around the first model, px; around the second it is 2
-    min_correlation : least height of a peak
+    min_correlation : least height of a peak of the first pass
+    by_chance : share of windows of two different places with a peak as high as that of a tie point must be
     max_residual : largest distance of a kept tie point from the final model, px
     least_share : share of the points looked at that must be kept, or the refinement is not used
 
     Notes
     -----
-    The secondary's despeckled log-amplitude is warped by the model onto the reference, so that windows need no
-    resampling of their own. A first pass at half size finds shifts up to `search`, the model is fitted again, and a
-    second pass at full size gives the positions. Points are those of the matches, filled up to the budget by the
+    The secondary's log-amplitude is warped by the model onto the reference, so that windows need no resampling of their
+    own. A first pass at half size finds shifts up to `search`, and the model is fitted again; a model that was fitted
+    to located matches needs none. A second pass at full size gives the positions. Before it both images are filtered by
+    what they have in common at each frequency (`featreg.sar.correlation_filter`): two dates of one look that show the
+    same targets are sharpened, fresh speckle and years of change are smoothed. How high a peak must be, windows of
+    different places of the same two images tell. Points are those of the matches, filled up to the budget by the
     strongest gradient of each cell of a regular grid, so that the tie points spread over the image. The covariance of a
     tie point is (1 - rho^2) times the inverse curvature of its peak, times one variance factor for all, estimated
     from the residuals.
@@ -74,46 +92,52 @@ class Refine:
     sigma: Positive = 1.0
     search: Annotated[int, Ge(2)] = 6
     min_correlation: Annotated[float, Interval(gt=0, lt=1)] = 0.35
+    by_chance: Annotated[float, Interval(gt=0, lt=1)] = 0.05
     max_residual: Annotated[float, Gt(0)] = 1.0
     least_share: Annotated[float, Interval(ge=0, le=1)] = 0.15
 
     @property
     def reach(self) -> int:
         """How far from a tie point pixels are looked at, px."""
-        return self.half + MARGIN + self.search
+        return self.half + FILTER_MARGIN + MARGIN + self.search
 
     def least(self, candidates: int) -> int:
         """Fewest refined tie points, of so many looked at, for a refinement that is worth using."""
         return max(30, round(self.least_share * candidates))
 
-    def run(self, reference: Image, secondary: Image, model: Model, matches: Matches, n_features: int) -> Refined:
-        """Return at most `n_features` refined tie points around `model`; empty where the images do not correlate."""
+    def run(
+        self, reference: Image, secondary: Image, model: Model, matches: Matches, n_features: int, *, near: bool = False
+    ) -> Refined:
+        """Return at most `n_features` refined tie points around `model`; empty where the images do not correlate.
+
+        `near` says that the model is right to about a pixel, so that no first pass is needed.
+        """
         kind = type(model)
         none = Refined(Matches.empty(), FailedFit("no window of the two images correlates"), 0, 0)
         if min(reference.shape) < 4 * self.half:
             return none
-        here, there = despeckled(reference, self.sigma), despeckled(secondary, self.sigma)
-        aligned = resampled(there, model, reference.shape)
-        small = halved(here), halved(aligned)
-        usable = WholeWindows(reference, secondary, model, self.half)
-        seeds, origin = self._seeds(small[0], usable, matches, n_features)
-        # Pass one: at half size, a sample of the points.
-        some = seeds[:: max(1, len(seeds) // SAMPLE)]
-        coarse = self._measure(small[0], small[1], some // 2, self.half // 2, (self.search + 1) // 2)
-        first, _, _ = self._fit(kind, model, some, 2 * coarse.shift, coarse)
+        here = despeckled(reference, self.sigma)
+        small = halved(here)
+        usable = WholeWindows(reference, secondary, model, self.half + FILTER_MARGIN)
+        seeds, origin = self._seeds(small, usable, matches, n_features)
+        first = model if near else self._first_pass(small, secondary, model, seeds, reference.shape)
         if isinstance(first, FailedFit):
             return none
-        # Pass two: at full size around the better model.
         if _distance(first, model, reference.shape) > 1:
-            inside = WholeWindows(reference, secondary, first, self.half)(seeds)
+            inside = WholeWindows(reference, secondary, first, self.half + FILTER_MARGIN)(seeds)
             seeds, origin = seeds[inside], origin[inside]
-        aligned = resampled(there, first, reference.shape)
-        fine = self._measure(here, aligned, seeds, self.half, 2)
-        final, there_xy, keep = self._fit(kind, first, seeds, fine.shift, fine)
+        view, aligned = log_amplitude(reference), resampled(log_amplitude(secondary), first, reference.shape)
+        best = correlation_filter(view, aligned, shared_pixels(reference, secondary, first))
+        if best is None:
+            return none
+        view, aligned = best.applied(view), best.applied(aligned)
+        fine = self._measure(view, aligned, seeds, self.half, 2)
+        least = self._height_by_chance(view, aligned, seeds)
+        final, there_xy, keep = self._fit(kind, first, seeds, fine.shift, fine, least)
         if isinstance(final, FailedFit):
             return none
         here_xy = seeds.astype(np.float64)
-        peaked = fine.sound & (fine.height >= self.min_correlation)
+        peaked = fine.sound & (fine.height >= least)
         measured = Matches(here_xy[peaked], there_xy[peaked], fine.height[peaked])
         correlated = int(keep.sum())
         keep &= final.residuals(here_xy, there_xy) <= self.max_residual
@@ -125,6 +149,25 @@ class Refine:
         refined = Matches(here_xy, there_xy, found.height, covariance, origin[keep])
         return Refined(refined, final, len(seeds), correlated, measured)
 
+    def _first_pass(
+        self, small: F32, secondary: Image, model: Model, seeds: IntArray, shape: tuple[int, int]
+    ) -> Model | FailedFit:
+        """The model fitted to shifts at half size, of a sample of the points."""
+        aligned = halved(resampled(despeckled(secondary, self.sigma), model, shape))
+        some = seeds[:: max(1, len(seeds) // SAMPLE)]
+        coarse = self._measure(small, aligned, some // 2, self.half // 2, (self.search + 1) // 2)
+        return self._fit(type(model), model, some, 2 * coarse.shift, coarse, self.min_correlation)[0]
+
+    def _height_by_chance(self, first: F32, second: F32, seeds: IntArray) -> float:
+        """The height that few peaks of windows of two different places reach."""
+        some = seeds[:: max(1, -(-len(seeds) // MOST_CHANCE))]
+        other = np.roll(some, len(some) // 2, axis=0)
+        apart = (np.abs(some - other) > 2 * self.half + 1).any(axis=1)
+        if apart.sum() < LEAST_CHANCE:
+            return self.min_correlation
+        found = peaks(local_correlations(first, second, some[apart], self.half, 2, other[apart]))
+        return max(LEAST_HEIGHT, float(np.quantile(found.height, 1 - self.by_chance)))
+
     def _measure(self, first: F32, second: F32, at: IntArray, half: int, search: int) -> Peaks:
         height, width = first.shape
         reach = half + search + 1
@@ -135,10 +178,10 @@ class Refine:
         return peaks(found)
 
     def _fit(
-        self, kind: type[Model], around: Model, seeds: IntArray, shift: FloatArray, found: Peaks
+        self, kind: type[Model], around: Model, seeds: IntArray, shift: FloatArray, found: Peaks, least: float
     ) -> tuple[Model | FailedFit, FloatArray, BoolArray]:
         """Robust fit weighted by the inverse variance of the peaks: model, secondary points, and which it used."""
-        usable = found.sound & (found.height >= self.min_correlation)
+        usable = found.sound & (found.height >= least)
         here = seeds.astype(np.float64)
         there = around(here + shift)
         if usable.sum() < max(3 * kind.minimum, 8):

@@ -1,0 +1,144 @@
+"""The filter before a correlation that places its peak best, from what two aligned images themselves have in common."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from featreg.types import BoolArray, FloatArray, IntArray
+
+F32 = NDArray[np.float32]
+
+#: Side of the squares over which spectra are averaged, px, and most of them.
+SIDE, MOST = 32, 100
+#: Half the side of the filter, px, and separable filters that it is a sum of.
+HALF, TERMS = 5, 3
+#: Largest coherence that is believed, squared: what interpolation and 8 bits leave is no signal.
+MOST_COHERENT = 0.95
+
+
+@dataclass(frozen=True, eq=False)
+class CorrelationFilter:
+    """A sum of separable filters.
+
+    Parameters
+    ----------
+    across, down : (T, K) float32 taps along x and y
+    coherence : (F,) float64 of the two images at frequencies of 0, 1, 2, ... periods over `SIDE` px
+    """
+
+    across: F32
+    down: F32
+    coherence: FloatArray
+
+    def applied(self, view: F32) -> F32:
+        """Return a filtered (H, W) map; beyond its rim it is mirrored."""
+        import cv2
+
+        total = np.zeros_like(view)
+        for x, y in zip(self.across, self.down, strict=True):
+            cv2.add(total, cv2.sepFilter2D(view, -1, x, y, borderType=cv2.BORDER_REFLECT_101), total)
+        return total
+
+
+def correlation_filter(first: F32, second: F32, valid: BoolArray | None = None) -> CorrelationFilter | None:
+    """Return the filter of two aligned maps that makes the peak of their correlation as sharp as their noise allows.
+
+    Parameters
+    ----------
+    first, second : (H, W) float32, aligned to a fraction of a pixel, in which noise is additive (log-amplitudes)
+    valid : (H, W) bool, pixels that count; None for all
+
+    Returns
+    -------
+    The filter for both maps; None where they share no valid square of `SIDE` px, or nothing in those they share.
+
+    Notes
+    -----
+    Of maps s + n and s + m with spectra P and Q and cross-spectrum S, the correlation with the weight
+    c^2 / ((1 - c^2) S) at each frequency, c^2 = S^2 / (P Q) being the squared coherence, has the peak whose position
+    has the least variance (the maximum likelihood processor of [1]_): frequencies are whitened as far as both maps
+    agree on them, and left out where speckle or change is all there is. Each map is filtered by the root of the weight.
+    Spectra are averaged over squares under a Hann window, each of unit energy so that no bright target decides for all,
+    and over directions, so that the filter has no direction of its own and does not move a peak.
+
+    References
+    ----------
+    .. [1] C. H. Knapp, G. C. Carter, "The generalized correlation method for estimation of time delay", IEEE Trans.
+       Acoust. Speech Signal Process. 24(4), 1976, DOI 10.1109/TASSP.1976.1162830
+    """
+    corners = _squares(first.shape, valid)
+    if not len(corners):
+        return None
+    here, there = (_spectra(view, corners) for view in (first, second))
+    turns = np.hypot(np.fft.fftfreq(SIDE)[:, None], np.fft.rfftfreq(SIDE)[None]) * SIDE
+    cross, power, other = (
+        _radial(values, turns)
+        for values in (
+            (here * there.conj()).real.sum(axis=0),
+            (here.real**2 + here.imag**2).sum(axis=0),
+            (there.real**2 + there.imag**2).sum(axis=0),
+        )
+    )
+    cross = np.maximum(cross, 0.0)
+    product = np.maximum(power * other, np.finfo(np.float64).tiny)
+    squared = np.minimum(cross**2 / product, MOST_COHERENT)
+    weight = np.divide(squared, (1 - squared) * cross, out=np.zeros_like(cross), where=cross > 0)
+    # The mean of a square was taken away with its window's share of the lowest frequency.
+    weight[0] = weight[1]
+    if not weight.max() > 0:
+        return None
+    response = np.sqrt(np.interp(turns, np.arange(len(weight)), weight / weight.max()))
+    return CorrelationFilter(*_separable(response), np.sqrt(squared))
+
+
+def _squares(shape: tuple[int, int], valid: BoolArray | None) -> IntArray:
+    """(N, 2) upper left corners (x, y) of squares that are valid, spread evenly and at least half a square apart."""
+    height, width = shape
+    if min(height, width) < SIDE:
+        return np.zeros((0, 2), np.int64)
+    step = max(SIDE / 2, np.sqrt((height - SIDE + 1) * (width - SIDE + 1) / MOST))
+    y, x = (
+        np.rint(np.linspace(0, size - SIDE, max(1, int((size - SIDE) / step) + 1))).astype(np.int64)
+        for size in (height, width)
+    )
+    corners = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
+    if valid is None:
+        return corners
+    whole = np.array([valid[y : y + SIDE, x : x + SIDE].all() for x, y in corners.tolist()], np.bool_)
+    return corners[whole]
+
+
+def _spectra(view: F32, corners: IntArray) -> NDArray[np.complex64]:
+    """(N, SIDE, SIDE / 2 + 1) spectra of squares of unit energy."""
+    from scipy.fft import rfft2
+
+    x, y = (corners[:, k, None] + np.arange(SIDE) for k in (0, 1))
+    squares = view[y[:, :, None], x[:, None, :]]
+    window = np.hanning(SIDE + 2)[1:-1].astype(np.float32)
+    squares = (squares - squares.mean(axis=(1, 2), keepdims=True)) * (window[:, None] * window)
+    energy = np.sqrt((squares**2).sum(axis=(1, 2), keepdims=True))
+    squares = np.divide(squares, energy, out=np.zeros_like(squares), where=energy > 1e-6)
+    return np.asarray(rfft2(squares), np.complex64)
+
+
+def _radial(values: FloatArray, turns: FloatArray) -> FloatArray:
+    """Means over the directions of a half spectrum, by whole numbers of periods over a square."""
+    weight = np.full(values.shape, 2.0)
+    weight[:, [0, -1]] = 1.0
+    ring = np.rint(turns).astype(np.int64).ravel()
+    return np.asarray(np.bincount(ring, (values * weight).ravel()) / np.bincount(ring, weight.ravel()))
+
+
+def _separable(response: FloatArray) -> tuple[F32, F32]:
+    """(T, K) taps along x and along y whose products add up to the filter of a real frequency response, cut to size."""
+    kernel = np.fft.fftshift(np.fft.irfft2(response, (SIDE, SIDE)))
+    middle = slice(SIDE // 2 - HALF, SIDE // 2 + HALF + 1)
+    taper = np.sqrt(np.hanning(2 * HALF + 3)[1:-1])
+    down, size, across = np.linalg.svd(kernel[middle, middle] * taper[:, None] * taper)
+    down, across = down[:, :TERMS].T * size[:TERMS, None], across[:TERMS]
+    # Symmetric but for rounding, which would move a peak.
+    down, across = ((taps + taps[:, ::-1]) / 2 for taps in (down, across))
+    return across.astype(np.float32), down.astype(np.float32)
