@@ -36,7 +36,7 @@ def response(found: CorrelationFilter) -> NDArray[np.float64]:
     kernel = np.einsum("ty,tx->yx", found.down.astype(np.float64), found.across)
     wide = np.zeros((SIDE, SIDE))
     wide[: 2 * HALF + 1, : 2 * HALF + 1] = kernel
-    return np.abs(np.fft.rfft2(wide))[0]
+    return np.asarray(np.abs(np.fft.rfft2(wide))[0], np.float64)
 
 
 def shifts(first: F32, second: F32) -> NDArray[np.float64]:
