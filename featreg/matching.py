@@ -40,6 +40,8 @@ if TYPE_CHECKING:
 
 #: Images of more pixels are worked on in blocks.
 MOST_PIXELS = 4_000_000
+#: What may be said of the geolocation as prior, and how far, px, around the model of an earlier result is searched.
+PRIORS, PRIOR_PX = ("none", "geolocation"), 35.0
 
 logger = logging.getLogger(__name__)
 
@@ -56,6 +58,7 @@ def match(
     n_features: int | None = None,
     initial: Any = None,
     search_radius: float | None = None,
+    prior: str | Path | None = None,
     reference_mask: MaskLike | None = None,
     secondary_mask: MaskLike | None = None,
     nodata: complex | None = None,
@@ -90,6 +93,9 @@ def match(
     refine : guided sub-pixel tie points after that; None leaves it to the method
     n_features : at most so many features per image and so many final tie points (default 5000)
     initial, search_radius : a model known beforehand, or a matrix, and how far from it, in px, a match may lie
+    prior : "none" leaves aside where both files say they lie, "geolocation" fails where they do not; the file of a
+        result is its model, as `initial` with a `search_radius` of 35. None takes what the files say where they say it;
+        in blocks it is searched as far as 300 px around that
     reference_mask, secondary_mask : pixels that are data: arrays, mask files or polygons
     nodata : value of samples that are not data
     scale : "amplitude", "intensity" or "db", what real samples are
@@ -128,8 +134,10 @@ def match(
     """
     check_seed(seed)
     _check_running(workers=workers, threads=threads, executor=executor, progress=progress, cancel=cancel)
+    prior, initial, search_radius = _prior(prior, initial, search_radius)
     known = _initial(initial, search_radius)
     search: Any = {"seed": int(seed), "initial": known, "search_radius": search_radius}
+    whole: Any = search | ({} if prior is None else {"prior": prior})
     parts: Any = {"model": model, "locate": locate, "refine": refine, "n_features": n_features, **keywords}
     size = block_side(block, dem, height, model)
     most = MOST_PIXELS if size is None else math.inf
@@ -157,13 +165,18 @@ def match(
         here, there = (open_source(i, mask=m, band=b, **reading) for i, m, b in zip(given, masks, bands, strict=True))
         pipelines = assemble_all(method, blocks=True, **parts)
         with dask_client(scheduler, executor) as runner:
-            options = SceneOptions(size or BLOCK, runner, workers, dem, height, resume, progress, cancel)
+            options = SceneOptions(size or BLOCK, runner, workers, dem, height, resume, progress, cancel, prior)
             return registered(
                 method,
                 pipelines,
                 lambda pipeline: match_scene(here, there, pipeline, options, **search),
                 lambda: overviews(here, there),
             )
+    if prior == "geolocation":
+        from featreg.geolocation import sensor_of
+
+        for image in (first, second):
+            sensor_of(image.geolocation, image.shape, image.name)
     pipelines = assemble_all(method, **parts)
     if resume is not None:
         logger.warning("the images are matched whole, so nothing is kept in '%s': give block= for blocks", resume)
@@ -177,7 +190,7 @@ def match(
             seconds |= focused
         pair = first, second
         result = registered(
-            method, pipelines, lambda pipeline: pipeline.run(*pair, progress=progress, **search), lambda: pair
+            method, pipelines, lambda pipeline: pipeline.run(*pair, progress=progress, **whole), lambda: pair
         )
     return replace(
         result,
@@ -226,7 +239,8 @@ def check_keywords(keywords: Mapping[str, Any]) -> None:
         check_method(known["focus"])
     for band in bands_of(known):
         check_band(band)
-    _initial(known.get("initial"), known.get("search_radius"))
+    _, initial, radius = _prior(known.get("prior"), known.get("initial"), known.get("search_radius"))
+    _initial(initial, radius)
     assemble_all(**of_pipeline(keywords), blocks=None if size is None else bool(size))
 
 
@@ -253,6 +267,23 @@ def block_side(block: Any, dem: Any, height: Any, model: Any) -> int | None:
     if not isinstance(block, int | np.integer) or block < 1:
         raise ParameterError(f"block must be a whole number of pixels >= 1 or False, got {block!r}")
     return int(block)
+
+
+def _prior(prior: Any, initial: Any, search_radius: float | None) -> tuple[str | None, Any, float | None]:
+    """(what of the geolocation is used, the model known beforehand, how far around it) by `prior` and `initial`."""
+    if prior is None:
+        return None, initial, search_radius
+    if initial is not None:
+        raise ParameterError("prior and initial both say where to look: leave one of them out")
+    if prior in PRIORS:
+        if search_radius is not None:
+            raise ParameterError(f"search_radius needs a model around which to search, prior='{prior}' is none")
+        return str(prior), None, None
+    if not isinstance(prior, str | Path):
+        raise ParameterError(f"prior must be 'none', 'geolocation' or the file of a result, got {prior!r:.60}")
+    if not Path(prior).is_file():
+        raise ParameterError(f"prior '{prior}' is neither 'none' nor 'geolocation', and no such file is there")
+    return None, Registration.from_json(prior), PRIOR_PX if search_radius is None else search_radius
 
 
 def _initial(initial: Any, search_radius: float | None) -> Model | None:

@@ -52,6 +52,16 @@ def match(
             "--initial", metavar="RESULT.json", help="An earlier result to search around.", show_default=False
         ),
     ] = None,
+    prior: Annotated[
+        str | None,
+        typer.Option(
+            "--prior",
+            metavar="none|geolocation|RESULT.json",
+            help="none leaves aside where the files say they lie, geolocation fails where they do not; a result is "
+            "searched around, 35 px far.",
+            show_default="what the files say",
+        ),
+    ] = None,
     search_radius: Annotated[
         float | None,
         typer.Option(
@@ -102,12 +112,12 @@ def match(
     still written, cannot be trusted. Large images are worked on in blocks, which can be spread over processes or a
     cluster and kept in a folder, so that a run that was stopped goes on where it was.
     """
-    given = (reference, secondary, initial, mask_reference, mask_secondary, blocks.dem)
+    given = (reference, secondary, initial, prior, mask_reference, mask_secondary, blocks.dem)
     inputs = [file for file in given if file is not None]
     check_output(json_file, "--json", inputs=inputs)
     check_output(plot, "--plot", suffixes=[".png"], inputs=inputs)
     settings = parse_settings(common.settings, (keyword.name for keyword in KEYWORDS if keyword.option))
-    if initial is None and search_radius is not None:
+    if initial is None and prior is None and search_radius is not None:
         raise ParameterError("--search-radius needs --initial RESULT.json, the result around which to search")
     blocks.check(workers)
     in_blocks = may_be_blocks(blocks, [reference, secondary])
@@ -130,6 +140,7 @@ def match(
             seed=common.seed,
             initial=None if initial is None else _known_model(Registration.from_json(initial), initial),
             search_radius=search_radius,
+            prior=prior,
             reference_mask=mask_reference,
             secondary_mask=mask_secondary,
             focus=focus,

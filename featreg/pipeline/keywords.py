@@ -47,6 +47,7 @@ KEYWORDS = (
     Keyword("robust", "part"),
     Keyword("seed", "seed", "--seed"),
     Keyword("initial", "search", "--initial"),
+    Keyword("prior", "search", "--prior"),
     Keyword("search_radius", "search", "--search-radius"),
     Keyword("reference_mask", "image", "--mask-reference"),
     Keyword("secondary_mask", "image", "--mask-secondary"),

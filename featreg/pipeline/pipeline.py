@@ -81,6 +81,7 @@ class Pipeline:
         initial: Model | None = None,
         search_radius: float | None = None,
         progress: Progress | None = None,
+        prior: str | None = None,
     ) -> Registration:
         """Register a pair.
 
@@ -91,6 +92,7 @@ class Pipeline:
         initial : a model known beforehand; matches farther than `search_radius` pixels from it are dropped first
         search_radius : px; needed with `initial`
         progress : called with (steps done, steps in all)
+        prior : "none" leaves aside where the images say they lie
 
         Notes
         -----
@@ -101,7 +103,7 @@ class Pipeline:
         if self.matcher is None:
             raise ParameterError("this pipeline has no matcher: give it one, or use featreg.fit with tie points")
         with collecting() as timings, stage("prior"):
-            frame = None if initial is not None else self._frame(reference, secondary)
+            frame = None if initial is not None or prior == "none" else self._frame(reference, secondary)
         if frame is not None:
             held = self._run(reference, frame.resampled(secondary), seed, None, None, progress)
             held = _in_own_pixels(held, frame, secondary)

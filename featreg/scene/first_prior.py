@@ -36,24 +36,29 @@ def first_prior(
     seed: int,
     initial: Model | None,
     search_radius: float | None,
+    asked: str | None = None,
 ) -> tuple[Prior, Window] | Registration:
-    """Prior and overlap from the model given, the geolocation, or a coarse match, whose failure is the result."""
+    """Prior and overlap from the model given, the geolocation, or a coarse match, whose failure is the result.
+
+    `asked` is "none" to leave the geolocation aside, "geolocation" to have it or an `InputError`.
+    """
     shapes = reference.shape, secondary.shape
     if initial is not None:
         return from_model(initial, float(search_radius or 0), "initial model", shapes)
-    if reference.geolocation is not None and secondary.geolocation is not None:
+    if asked != "none" and (asked or (reference.geolocation is not None and secondary.geolocation is not None)):
         try:
             return from_sensors(reference, secondary, heights)
         except InputError as error:
             # A transform without a coordinate system, for example, does not locate an image.
-            if not _unlocated(reference, secondary):
+            if asked is not None or not _unlocated(reference, secondary):
                 raise
             logger.info("no prior from the geolocation: %s", error)
     plain = pipeline if not issubclass(pipeline.model, RpcBias) else replace(pipeline, model=Affine)
     result, model = coarse_match(plain, reference, secondary, seed)
     if result.status == "ok":
         return from_model(model, coarse_uncertainty(reference, secondary), "coarse match of overviews", shapes)
-    reason = f"without geolocation the prior is a match of the overviews, which failed: {result.reason}"
+    without = "without geolocation" if asked is None else "with prior 'none'"
+    reason = f"{without} the prior is a match of the overviews, which failed: {result.reason}"
     return Registration(
         Matches.empty(), {}, np.zeros(0, np.bool_), FailedFit(reason), "unreliable", reason,
         provenance=result.provenance, timings=result.timings, reference=input_image(reference),

@@ -60,6 +60,7 @@ class SceneOptions:
     resume : folder in which finished blocks are kept and looked for
     progress : called with (blocks done, blocks in all)
     cancel : when set, the work stops with a `CancelledError`
+    prior : "none" leaves aside where the files say they lie, "geolocation" asks for it; None takes it where it is
     """
 
     block: int
@@ -70,6 +71,7 @@ class SceneOptions:
     resume: str | Path | None = None
     progress: Progress | None = None
     cancel: Canceller | None = None
+    prior: str | None = None
 
     def heights(self, *sources: Source) -> tuple[Heights, str]:
         """The heights of the ground under the scenes, and where they come from."""
@@ -131,7 +133,9 @@ def match_scene(
             shared = shareable(reference, secondary, executor, stack)
             pipeline = _bound(pipeline, reference, secondary, heights)
             with cancellable(options.cancel), stage("prior"):
-                found = first_prior(pipeline, reference, secondary, heights, seed, initial, search_radius)
+                found = first_prior(
+                    pipeline, reference, secondary, heights, seed, initial, search_radius, options.prior
+                )
             if isinstance(found, Registration):
                 return found
             prior, area = found
@@ -173,6 +177,8 @@ def _check_heights(options: SceneOptions, pipeline: Pipeline, sources: Sequence[
         return
     if initial is not None:
         raise ParameterError(f"{given} does nothing here: the prior is the initial model; leave one of them out")
+    if options.prior == "none":
+        raise ParameterError(f"{given} does nothing here: prior='none' leaves aside where the files say they lie")
     for source in sources:
         if source.geolocation is None:
             raise ParameterError(
