@@ -12,7 +12,7 @@ from annotated_types import Ge, Gt, Interval
 from featreg.errors import ParameterError
 from featreg.interfaces import Descriptor
 from featreg.registry import register
-from featreg.runtime.parameters import Count
+from featreg.runtime.parameters import Count, Positive
 from featreg.sar.gradients.gabor import gabor_gradients
 from featreg.sar.gradients.gradient_field import GradientField, from_base, octave
 from featreg.sar.keypoints.gradient_histograms import Harmonics, Step, described, gloh, normalised, row_length
@@ -35,9 +35,10 @@ class GaborOdd(Descriptor):
         and the ratio of neighbours; the same filters serve keypoints of every scale
     orientations : filter directions over half a turn
     floor : added to the means before their ratio is taken, relative to the image's mean amplitude
-    step : distance of the samples relative to the radius, which is the keypoint's scale
+    step : distance of the samples relative to the radius
     harmonics : Fourier harmonics kept of the directions of each cell, beside their mean, 0 to 4; 4 keeps the histograms
         of eight directions themselves
+    magnification : the radius is so many times the keypoint's scale; 6 suits OpenCV's SIFT, which gives its sigma
 
     Notes
     -----
@@ -60,6 +61,7 @@ class GaborOdd(Descriptor):
     floor: Annotated[float, Ge(0)] = 0.01
     step: Step = 0.125
     harmonics: Harmonics = 2
+    magnification: Positive = 1.0
 
     def __post_init__(self) -> None:
         if math.log(self.sigma) + (self.scales - 1) * math.log(self.factor) > math.log(100) + 1e-9:
@@ -70,7 +72,7 @@ class GaborOdd(Descriptor):
 
     def reach_of(self, scale: float) -> float:
         """The radius, and twice the standard deviation of the coarsest filter at its rim."""
-        return scale + 2 * self.sigma * self.factor ** (self.scales - 1)
+        return self.magnification * scale + 2 * self.sigma * self.factor ** (self.scales - 1)
 
     def describe_features(self, image: Image, features: Features) -> Features:
         total = np.zeros((len(features), row_length(self.harmonics)), np.float32)
@@ -78,7 +80,7 @@ class GaborOdd(Descriptor):
             level, sigma = octave(image, self.sigma * self.factor**k, COARSEST_GRID)
             sparse = sigma >= SPARSE
             field = GradientField(*gabor_gradients(level, sigma, self.orientations, self.floor, sparse))
-            radius = features.scale * level.shape[1] / image.shape[1]
+            radius = self.magnification * features.scale * level.shape[1] / image.shape[1]
             xy = from_base(features.xy, level, image)
             total += normalised(gloh(field, xy, radius, features.angle, self.harmonics, self.step))
         return described(image, features, normalised(total))

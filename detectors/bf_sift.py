@@ -39,6 +39,7 @@ class BfSift(Detector):
     threshold : least difference of log-amplitude
     quota_decay : a scale gets `quota_decay` times fewer keypoints than the finer one before it
     support : radius, in units of the scale's sigma, from which a keypoint is described; it must be free of nodata
+    skip : so many of the finest scales give no keypoints
     orientation_scale : the orientation is that of gradients whose sigma is so many times that of the keypoint, within
         half of so many times the support
 
@@ -53,7 +54,7 @@ class BfSift(Detector):
     measured in units of the noise, since a filter that keeps every step above the noise keeps single-look speckle. The
     default cascade (see `featreg.sar.gradients.bilateral`) is fast and not the same filter; `exact` is the paper's.
     Windows of whole pixels, cut at 1.5 sigma, make the steps between levels uneven, so that some intervals hold few
-    extrema. The paper skips the finest scales; here a budget favours them, as their keypoints are placed best. Octaves
+    extrema. The paper skips the finest scale (`skip`); here a budget favours it, as its keypoints lie best. Octaves
     are halvings of the amplitude, not of the smoothed image. The position is that of a quadratic surface in space; the
     scale stays that of the level. No contrast or edge test: the budget keeps the strongest. One orientation a point,
     from gradients half as coarse again as the point, in which less speckle is left; `orientation_scale` 1 is SIFT's.
@@ -68,6 +69,7 @@ class BfSift(Detector):
     threshold: Annotated[float, Ge(0)] = 0.04
     quota_decay: Annotated[float, Ge(1)] = 2.0
     support: Positive = 8.0
+    skip: Annotated[int, Ge(0)] = 0
     orientation_scale: Positive = 1.5
 
     @property
@@ -79,6 +81,8 @@ class BfSift(Detector):
         space = self._space()
         chain = pyramid(image, self.octaves, 2.0)
         found = [part for level in chain for part in self._octave(level)]
+        none: Found = (np.zeros(0, np.int64), np.zeros(0))
+        found[: self.skip] = [none] * min(self.skip, len(found))
         counts = share_out(self.n_features, [len(flat) for flat, _ in found], self.quota_decay)
         parts = []
         for number, ((flat, score), count) in enumerate(zip(found, counts, strict=True)):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from featreg.interfaces import Detector
 from featreg.registry import register
 from featreg.runtime.parameters import Count, Positive
-from featreg.sar.gradients.gradient_field import filled_gradients, from_base, octave, ratio_field
-from featreg.sar.keypoints.gradient_histograms import dominant_orientation
+from featreg.sar.gradients.gradient_field import GradientField, filled_gradients, from_base, octave, ratio_field
+from featreg.sar.keypoints.gradient_histograms import dominant_orientation, further_orientations
 from featreg.sar.keypoints.maxima import interpolated, local_maxima, parabola_peak, quadratic_peak
 from featreg.sar.pyramid import clear, share_out, to_base
 from featreg.types import Features, FloatArray, Image, IntArray
@@ -54,6 +54,8 @@ class SarHarris(Detector):
     support : radius in units of alpha from which a keypoint is described; it must be free of nodata and border
     finest : least alpha of the gradients from which an orientation is taken
     subscale : interpolate the scale between neighbouring ones by a parabola through the responses
+    second : another peak of the histogram of directions of at least this share of the highest makes a further keypoint
+        at the same place; 1: none does
 
     Notes
     -----
@@ -68,7 +70,7 @@ class SarHarris(Detector):
     many correct matches as with the paper's values, which are parameters. One-sided means exclude the pixel itself.
     Coarse scales are computed on an image halved one or more times, where their alpha is at least 1.25 pixels. The
     position comes from a quadratic surface through the 3 x 3 responses, the scale from a parabola over the logarithm
-    of alpha; both stay at the pixel and the layer where the fit leaves it. A keypoint has one orientation.
+    of alpha; both stay at the pixel and the layer where the fit leaves it. A keypoint has one orientation (`second`).
     """
 
     n_features: Count = 5000
@@ -83,6 +85,7 @@ class SarHarris(Detector):
     support: Positive = 12.0
     finest: Positive = 2.0
     subscale: bool = True
+    second: Annotated[float, Interval(gt=0, le=1)] = 1.0
 
     @property
     def reach(self) -> float:
@@ -100,10 +103,15 @@ class SarHarris(Detector):
             xy = to_base(quadratic_peak(layer.response, at), layer.level, image)
             alpha = layer.alpha * self.factor ** self._sub_scale(image, layers, k, xy)
             score = layer.response[at[:, 1], at[:, 0]].astype(np.float64)
-            angle = self._orientation(image, layer.alpha, xy)
-            parts.append(Features(xy, self.support * alpha, angle, score, np.full(len(at), k)))
+            field, places, radius = self._gradients(image, layer.alpha, xy)
+            angle = dominant_orientation(field, places, radius)
+            points = Features(xy, self.support * alpha, angle, score, np.full(len(at), k))
+            parts.append(points)
+            if self.second < 1:
+                rows, others = further_orientations(field, places, radius, self.second)
+                parts.append(replace(points.take(rows), angle=others))
         everything = Features.concatenate(parts)
-        return everything.take(np.argsort(-everything.score, kind="stable"))
+        return everything.take(np.argsort(-everything.score, kind="stable")[: self.n_features])
 
     def _layer(self, image: Image, alpha: float, scratch: F32) -> _Layer:
         level, local = octave(image, alpha, COARSEST_GRID)
@@ -121,10 +129,11 @@ class SarHarris(Detector):
         near = [interpolated(layer.response, from_base(xy, layer.level, image)) for layer in layers[k - 1 : k + 2]]
         return parabola_peak(*near)
 
-    def _orientation(self, image: Image, alpha: float, xy: FloatArray) -> FloatArray:
+    def _gradients(self, image: Image, alpha: float, xy: FloatArray) -> tuple[GradientField, FloatArray, FloatArray]:
+        """The gradients that give points (N, 2) of a scale their direction, their places in them, and (N,) radii."""
         level, local = octave(image, max(alpha, self.finest), COARSEST_GRID)
         radius = np.full(len(xy), 0.5 * self.support * local)
-        return dominant_orientation(ratio_field(level, local, self.floor), from_base(xy, level, image), radius)
+        return ratio_field(level, local, self.floor), from_base(xy, level, image), radius
 
 
 def _response(gx: F32, gy: F32, sigma: float, d: float, scratch: F32) -> F32:

@@ -37,7 +37,9 @@ class SarOfast(Detector):
     support : radius in pixels of the level that must be free of nodata and of the image border
     edge : "log" (length of the log-ratio gradient) or "eq5" (the paper's Eq. 5)
     subpixel : "centroid" (of the edge map), "corner" (the paper's Eq. 6 and 7) or "none"
+    clip : whether the strongest edges share the value 255, or it stands for the greatest strength alone
     sigma : standard deviation in pixels of the Gaussian weight of the 7 x 7 sub-pixel neighbourhood
+    centroid : of what the direction of a corner is the centroid: "amplitude" (despeckled) or "edges" (the paper's)
 
     Notes
     -----
@@ -48,8 +50,9 @@ class SarOfast(Detector):
     centroid of the edge strength, because few corners under speckle are crossings of two edges, and at the others the
     gradients of Eq. 6 are not perpendicular on the lines to the corner (measured on one-look Sentinel-1 pairs: 0.70 px
     RMSE of the correct matches against 0.83 px without and 0.83 px by Eq. 7); finer levels get a larger share
-    (`quota_decay`), because a pixel of error there costs less. A corner that runs away stays at its pixel and
-    is marked False in `Features.subpixel`.
+    (`quota_decay`), because a pixel of error there costs less; the direction is that of the despeckled
+    amplitude; strong edges are clipped. A corner that runs away stays at its pixel and is marked False in
+    `Features.subpixel`.
     """
 
     n_features: Count = 5000
@@ -63,6 +66,8 @@ class SarOfast(Detector):
     edge: Literal["log", "eq5"] = "log"
     subpixel: Literal["centroid", "corner", "none"] = "centroid"
     sigma: Annotated[float, Interval(ge=0.3, le=10)] = 1.0
+    clip: bool = True
+    centroid: Literal["amplitude", "edges"] = "amplitude"
 
     @property
     def reach(self) -> float:
@@ -78,7 +83,7 @@ class SarOfast(Detector):
             at = xy[:count]
             moved, stable = self._subpixel(level, at)
             scale = self.support * np.sqrt(image.mask.size / level.mask.size)
-            view = despeckled(level)
+            view = despeckled(level) if self.centroid == "amplitude" else self._edges(level).astype(np.float32)
             parts.append(
                 Features(
                     xy=to_base(moved, level, image),
@@ -93,7 +98,7 @@ class SarOfast(Detector):
         return everything.take(np.argsort(-everything.score, kind="stable"))
 
     def _edges(self, level: Image) -> NDArray[np.uint8]:
-        return level.derive(quantised_edges, alpha=self.alpha, floor=self.floor, eq5=self.edge == "eq5")
+        return level.derive(quantised_edges, alpha=self.alpha, floor=self.floor, eq5=self.edge == "eq5", clip=self.clip)
 
     def _corners(self, level: Image) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
         return fast_corners(self._edges(level), self.threshold, clear(level, self.support + REACH), self.n_features)

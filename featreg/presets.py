@@ -63,7 +63,13 @@ _PAPER_OFAST = {
     "edge": "eq5",
     "subpixel": "corner",
     "sigma": 2.0,
+    "centroid": "edges",
+    "clip": False,
+    # The paper gives none; on edges that are not clipped half of the default finds as many corners.
+    "threshold": 5,
 }
+# SIFT's descriptor covers 6 sigma, and OpenCV's keypoints carry sigma.
+_PAPER_GABOR = {"orientations": 6, "harmonics": 4, "magnification": 6.0}
 _PAPER_BRIEF = {"bits": 256, "radius": 16.0, "spread": 6.2, "sigma": 2.0}
 
 # Half as far apart as SAR-SIFT's: as many correct matches for two thirds of the time.
@@ -210,7 +216,7 @@ PRESETS: Mapping[str, Preset] = {
     ),
     "sar-sift-paper": Preset(
         "SAR-Harris and ratio descriptors as in Dellinger et al. 2015, ratio test, RANSAC",
-        detector=Part("sar-harris", {"alpha": 2.0, "integration": 2**0.5, "quota_decay": 1.0}),
+        detector=Part("sar-harris", {"alpha": 2.0, "integration": 2**0.5, "quota_decay": 1.0, "second": 0.8}),
         descriptor=Part("ratio-gloh", {"soft": False, "harmonics": 4}),
         nearest=Part("brute-force", {"mutual": False, "ratio": 0.8}),
         filters=(Part("ransac"),),
@@ -225,9 +231,9 @@ PRESETS: Mapping[str, Preset] = {
         nearest=Part("brute-force"),
     ),
     "s-gof-paper": Preset(
-        "SIFT keypoints and odd-Gabor ratio descriptors of one scale, after Paul and Pati 2019, ratio test, RANSAC",
+        "SIFT keypoints, all of them, odd-Gabor ratio descriptors of one scale, after Paul and Pati 2019, RANSAC",
         detector=Part("sift"),
-        descriptor=Part("gabor-odd", {"orientations": 6, "harmonics": 4}),
+        descriptor=Part("gabor-odd", _PAPER_GABOR),
         nearest=Part("brute-force", {"mutual": False, "ratio": 0.85}),
         filters=(Part("ransac"),),
         locate=False,
@@ -241,9 +247,9 @@ PRESETS: Mapping[str, Preset] = {
         nearest=Part("brute-force"),
     ),
     "m-gof-paper": Preset(
-        "SIFT keypoints and odd-Gabor ratio descriptors of four scales, after Paul and Pati 2019, ratio test, RANSAC",
+        "SIFT keypoints, all of them, odd-Gabor ratio descriptors of four scales, after Paul and Pati 2019, RANSAC",
         detector=Part("sift"),
-        descriptor=Part("gabor-odd", {**_MULTI_SCALE, "orientations": 6, "harmonics": 4}),
+        descriptor=Part("gabor-odd", {**_MULTI_SCALE, **_PAPER_GABOR}),
         nearest=Part("brute-force", {"mutual": False, "ratio": 0.85}),
         filters=(Part("ransac"),),
         locate=False,
@@ -258,7 +264,7 @@ PRESETS: Mapping[str, Preset] = {
     ),
     "bfsift-paper": Preset(
         "SIFT in an exact bilateral scale space without the finest scale, after Wang et al. 2012, mutual, RANSAC",
-        detector=Part("bf-sift", {**_PAPER_BILATERAL, "quota_decay": 1.0, "orientation_scale": 1.0}),
+        detector=Part("bf-sift", {**_PAPER_BILATERAL, "quota_decay": 1.0, "orientation_scale": 1.0, "skip": 1}),
         descriptor=Part("bf-sift", {**_PAPER_BILATERAL, "coarser": 1.0, "harmonics": 4}),
         nearest=Part("brute-force"),
         filters=(Part("ransac"),),

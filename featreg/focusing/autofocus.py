@@ -11,7 +11,7 @@ import numpy as np
 from featreg.focusing.legendre_phase import legendre_phase
 from featreg.focusing.minimum_entropy import Cancelled, Descent, minimum_entropy
 from featreg.focusing.phase_error import Band
-from featreg.focusing.phase_gradient import phase_gradient
+from featreg.focusing.phase_gradient import SHRINK, phase_gradient
 from featreg.focusing.pulse_spectra import PulseSpectra
 from featreg.types import FloatArray
 
@@ -76,15 +76,23 @@ def estimate(
     max_iterations: int = 60,
     each: Cancelled | None = None,
 ) -> Descent:
-    """Estimate the phase by one method: "mea", "pmea" (the same on other cells), "mca", "pga" or "legendre"."""
-    if method == "pga":
-        return phase_gradient(cells, band, max_iterations=max_iterations, each=each)
+    """Estimate the phase by one method: "mea", "pmea" (the same on other cells), "mca", "pga" or "legendre".
+
+    Those that end in "-paper" are the plain forms: no steps of contrast before entropy, no step taken back, and of the
+    phase gradient a window that may shrink at once.
+    """
+    if method in ("pga", "pga-paper"):
+        shrink = 0.0 if method == "pga-paper" else SHRINK
+        return phase_gradient(cells, band, shrink=shrink, max_iterations=max_iterations, each=each)
     if method == "legendre":
         return legendre_phase(cells, band, max_iterations=max_iterations, each=each)
     run: Mapping[str, Callable[..., Descent]] = {
         "mea": minimum_entropy,
         "pmea": minimum_entropy,
         "mca": partial(minimum_entropy, contrast_only=True),
+        "mea-paper": partial(minimum_entropy, plain=True),
+        "pmea-paper": partial(minimum_entropy, plain=True),
+        "mca-paper": partial(minimum_entropy, contrast_only=True),
     }
     return run[method](cells, band, max_iterations=max_iterations, each=each)
 

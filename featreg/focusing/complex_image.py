@@ -34,9 +34,14 @@ from featreg.types import BoolArray, FloatArray, Gate, Image, IntArray, read_onl
 
 C64 = NDArray[np.complex64]
 
-METHODS = ("auto", "mea", "pmea", "mca", "pga", "legendre")
+#: The plain forms of the PMEA paper and of those it compares with.
+PAPER = ("pmea-paper", "mea-paper", "mca-paper", "pga-paper")
+METHODS = ("auto", "mea", "pmea", "mca", "pga", "legendre", *PAPER)
 #: Share of the range cells where none is given; PGA and the parametric phase take them all.
-FRACTIONS = {"mea": 0.1, "pmea": 0.1, "mca": 0.1, "pga": 1.0, "legendre": 1.0}
+FRACTIONS = {
+    "mea": 0.1, "pmea": 0.1, "mca": 0.1, "pga": 1.0, "legendre": 1.0,
+    "pmea-paper": 0.05, "mea-paper": 0.05, "mca-paper": 0.05, "pga-paper": 1.0,
+}  # fmt: skip
 #: `auto` begins with this share, but no less than so many cells, and stops at so many samples.
 FIRST, FEWEST, MOST_SAMPLES = 0.1, 64, 1 << 22
 #: Range cells below which nothing can be held out.
@@ -86,10 +91,11 @@ def focus(
     ----------
     image : path, (H, W) complex array or `Image`; samples that are not data, and NaN, count as 0
     method : "mea" (minimum entropy), "pmea" (the same on the range cells with most feature points), "mca" (maximum
-        contrast), "pga" (phase gradient), "legendre" (minimum entropy of a polynomial of degree 8), or "auto"
+        contrast), "pga" (phase gradient), "legendre" (minimum entropy of a polynomial of degree 8), "auto", or as
+        published "pmea-paper", "mea-paper", "mca-paper", "pga-paper"
     azimuth_axis : 0 where azimuth runs down the columns and every column is a range cell, 1 where it runs along rows
-    fraction : share of the range cells that are looked at, in (0, 1]; default 0.1 for mea, pmea and mca, all for
-        legendre, as many as needed for auto. pga takes all
+    fraction : share of the range cells that are looked at, in (0, 1]; default 0.1 for mea, pmea and mca, 0.05 for them
+        as published, all for legendre, as many as needed for auto. pga takes all
     normalize : weight range cells alike. Without it, the strongest decide, and a row of strong scatterers in one of
         them is collapsed to a point: entropy falls below that of the true image, with a wrong phase
     detector : any registered detector, by name or made: whose points pmea counts
@@ -118,8 +124,11 @@ def focus(
     Minimum-entropy autofocus on Prewitt feature points, PMEA (equations are numbered as in its paper), and the methods
     that it is compared with. Departures: range cells are brought to equal energy (see `normalize`); minimum entropy
     begins with eight steps of maximum contrast; feature points are counted in the image as minimum entropy on its
-    strongest cells focuses it, so that the choice of cells hardly depends on the blur. ``normalize=False`` weights and
-    counts as the paper does. "auto" begins with a polynomial, frees the phase of every pulse, and takes all cells where
+    strongest cells focuses it, so that the choice of cells hardly depends on the blur. The "-paper" methods depart in
+    none of these: energies are kept whatever `normalize` is, 5 % of the cells (the paper's section 3.1), points counted
+    in the image as it is, the fixed point of the entropy alone, PGA's window free to shrink.
+
+    "auto" begins with a polynomial, frees the phase of every pulse, and takes all cells where
     the halves of the strongest disagree.
 
     Entropy alone is no evidence: a wrong phase may lower it. "ok" needs that the two halves of the range cells find the
@@ -198,10 +207,10 @@ def _estimated(
             each=each,
         )
         return used.index, found, verdict, band_of(used)
-    given = None if settings.method == "pga" else settings.fraction
+    given = None if settings.method in ("pga", "pga-paper") else settings.fraction
     fraction = FRACTIONS[settings.method] if given is None else given
     chosen = choose_cells(energy, fraction)
-    if settings.method == "pmea":
+    if settings.method in ("pmea", "pmea-paper"):
         seen: NDArray[Any] = pixels
         if settings.normalize:
             strong = spectra(chosen)
@@ -321,7 +330,15 @@ def _settings(
 
     count = worker_count(workers, default_workers())
     return _Settings(
-        method, azimuth_axis, fraction, bool(normalize), detector, int(max_iterations), bool(detrend), count, each
+        method,
+        azimuth_axis,
+        fraction,
+        bool(normalize) and method not in PAPER,
+        detector,
+        int(max_iterations),
+        bool(detrend),
+        count,
+        each,
     )
 
 

@@ -51,6 +51,7 @@ def minimum_entropy(
     contrast_only: bool = False,
     warm: int = WARM,
     offset: float = OFFSET,
+    plain: bool = False,
     max_iterations: int = 60,
     tolerance: float = TOLERANCE,
     each: Cancelled | None = None,
@@ -64,6 +65,7 @@ def minimum_entropy(
     contrast_only : maximise the sum of p^2 (MCA) all the way
     warm : so many steps of maximum contrast first
     offset : added to the logarithm in the weights of the entropy
+    plain : the fixed point alone: weights ln p, of either sign, from the first step on, and no step taken back
     max_iterations, tolerance : stop after so many, or when the phase is nearer to the fixed point, RMS radians, as
         extrapolated from its last two changes
     each : called with the number of every iteration; may raise to stop
@@ -76,6 +78,8 @@ def minimum_entropy(
     doi:10.1109/ICIP.2006.312400, with a smaller offset than the one for which it is proven to be monotonic. A step
     that raises the criterion is taken back and the offset raised.
     """
+    if plain:
+        warm, offset = 0, 0.0
     phase = np.zeros(cells.pulses) if start is None else start
     entropy: list[float] = []
     best, previous, change, distance = np.inf, phase, np.inf, np.inf
@@ -86,9 +90,9 @@ def minimum_entropy(
             break
         if each is not None:
             each(used)
-        step = cells.step(phase, contrast=contrast, offset=offset)
+        step = cells.step(phase, contrast=contrast, offset=offset, clamped=not plain)
         entropy.append(step.entropy)
-        if not contrast and used > warm and step.objective > best + 1e-7 * abs(best):
+        if not plain and not contrast and used > warm and step.objective > best + 1e-7 * abs(best):
             phase, offset, change, distance = previous, offset + 2, np.inf, np.inf
             best = np.inf
             continue

@@ -22,6 +22,7 @@ def phase_gradient(
     cells: PulseSpectra,
     band: Band,
     *,
+    shrink: float = SHRINK,
     max_iterations: int = 60,
     tolerance: float = 1e-2,
     each: Cancelled | None = None,
@@ -31,6 +32,7 @@ def phase_gradient(
     Parameters
     ----------
     cells, band : spectra of the range cells, and the pulses that carry signal
+    shrink : a window is no narrower than this share of the one before; 0 lets it shrink at once, as published
     max_iterations, tolerance : stop after so many, or when the phase changes by less, RMS radians
     each : called with the number of every iteration; may raise to stop
 
@@ -53,7 +55,7 @@ def phase_gradient(
         if each is not None:
             each(used)
         profile = _profile(cells, phase)
-        width = _width(profile, width)
+        width = _width(profile, width, shrink)
         found = _gradient(cells, band, phase, width)
         change = band.difference(found, np.zeros(cells.pulses))
         phase = band.spread(np.angle(np.exp(1j * (phase + found)[band.order])))
@@ -77,13 +79,13 @@ def _profile(cells: PulseSpectra, phase: FloatArray) -> FloatArray:
     return np.asarray(np.sum(cells.over(task), axis=0))
 
 
-def _width(profile: FloatArray, before: int) -> int:
+def _width(profile: FloatArray, before: int, shrink: float) -> int:
     """Samples of the next window, odd."""
     half = len(profile) // 2
     out = np.maximum(profile[: half + 1], np.r_[profile[:1], profile[-1 : -half - 1 : -1]])
     below = np.flatnonzero(out < LEVEL * out[0])
     wanted = 2 * int(WIDEN * (below[0] if len(below) else half)) + 1
-    return int(np.clip(wanted, max(NARROWEST, int(SHRINK * before)), before))
+    return int(np.clip(wanted, max(NARROWEST, int(shrink * before)), before))
 
 
 def _gradient(cells: PulseSpectra, band: Band, phase: FloatArray, width: int) -> FloatArray:

@@ -431,9 +431,11 @@ class TestTable:
         assert found["AKAZE"] == ("cv2" if hasattr(cv2, "AKAZE_create") else "cv2.xfeatures2d")
         from featreg.descriptors import opencv as descriptors
         from featreg.detectors import opencv as detectors
+        from featreg.detectors import opencv_networks as networks
+        from featreg.matchers import opencv as matchers
 
-        rows = (*detectors.TABLE.values(), *descriptors.TABLE.values())
-        assert {row.creator for row in rows} == set(found)
+        tables = (detectors.TABLE, descriptors.TABLE, networks.TABLE, matchers.TABLE)
+        assert {row.creator for table in tables for row in table.values()} == set(found)
 
     def test_an_opencv_without_contrib_says_so(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.delattr(cv2, "xfeatures2d")

@@ -137,11 +137,14 @@ def edge_strength(gx: F32, gy: F32, *, eq5: bool = False) -> F32:
     return np.asarray(strength, np.float32)
 
 
-def quantised_edges(image: Image, alpha: float, floor: float = FLOOR, eq5: bool = False) -> NDArray[np.uint8]:
+def quantised_edges(
+    image: Image, alpha: float, floor: float = FLOOR, eq5: bool = False, clip: bool = True
+) -> NDArray[np.uint8]:
     """Return the (H, W) uint8 edge map.
 
     255 stands for the 99.9th percentile of the edge strength or five times its median, whichever is less, and for all
-    above: neither a single ship nor the rim of a black border may darken all other edges. Invalid pixels count as the
+    above: neither a single ship nor the rim of a black border may darken all other edges. Without `clip` 255 stands for
+    the greatest strength. Invalid pixels count as the
     mean amplitude, so the map is right to 1 % only where these are at least five alpha away; without `eq5`, that is,
     which takes the exact gradients.
     """
@@ -158,6 +161,8 @@ def quantised_edges(image: Image, alpha: float, floor: float = FLOOR, eq5: bool 
     middle, high = sample.size // 2, int(0.999 * (sample.size - 1))
     ranked = np.partition(sample, [middle, high])
     top = min(float(ranked[high]), 5 * float(ranked[middle])) or float(ranked[high])
+    if not clip:
+        top = float(strength[image.mask].max())
     if not top > LEAST_EDGE:
         return np.zeros(image.shape, np.uint8)
     return np.asarray(cv2.convertScaleAbs(strength, alpha=255.0 / top), np.uint8)

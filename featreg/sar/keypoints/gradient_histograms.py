@@ -19,7 +19,7 @@ from annotated_types import Interval
 from numpy.typing import NDArray
 
 from featreg.sar.gradients.gradient_field import GradientField
-from featreg.types import Features, FloatArray, Image
+from featreg.types import Features, FloatArray, Image, IntArray
 
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]
@@ -60,8 +60,8 @@ def dominant_orientation(field: GradientField, xy: FloatArray, radius: FloatArra
 
     Notes
     -----
-    Lowe's histogram of 36 directions weighted by magnitude, smoothed, its highest peak refined by a parabola.
-    Secondary peaks make no points of their own.
+    Lowe's histogram of 36 directions weighted by magnitude, smoothed, its highest peak refined by a parabola. Secondary
+    peaks are those of `further_orientations`.
     """
     from featreg.sar.keypoints import histogram_kernels
 
@@ -69,6 +69,27 @@ def dominant_orientation(field: GradientField, xy: FloatArray, radius: FloatArra
     angle = np.empty(len(xy))
     histogram_kernels.peak_direction(histograms, angle)
     return angle
+
+
+def further_orientations(
+    field: GradientField, xy: FloatArray, radius: FloatArray, share: float, step: float = 0.14
+) -> tuple[IntArray, FloatArray]:
+    """Return ((K,) rows, (K,) radians): the lower peaks of the histograms of `dominant_orientation` near (N, 2) points.
+
+    Those of at least `share` of the highest peak count, as Lowe (2004, section 5) takes them with a share of 0.8.
+    """
+    histograms = _pooled(field, xy, radius, np.zeros(len(xy)), _disc(step), ORIENTATIONS).astype(np.float64)
+    smooth = 6 * histograms
+    for shift, weight in ((1, 4.0), (2, 1.0)):
+        smooth += weight * (np.roll(histograms, shift, axis=1) + np.roll(histograms, -shift, axis=1))
+    before, after = np.roll(smooth, 1, axis=1), np.roll(smooth, -1, axis=1)
+    peak = (smooth > before) & (smooth >= after) & (smooth >= share * smooth.max(axis=1, keepdims=True))
+    peak[np.arange(len(xy)), smooth.argmax(axis=1)] = False
+    rows, bins = np.nonzero(peak)
+    low, high = before[rows, bins], after[rows, bins]
+    curve = low - 2 * smooth[rows, bins] + high
+    offset = np.where(curve < 0, 0.5 * (low - high) / np.where(curve < 0, curve, -1.0), 0.0)
+    return rows.astype(np.int64), (bins + offset) * 2 * np.pi / ORIENTATIONS
 
 
 def gloh(

@@ -1,0 +1,178 @@
+"""Every "-paper" parameter beside the sentence of its paper that says so."""
+
+from __future__ import annotations
+
+import math
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+
+import featreg
+from featreg import registry
+from featreg.focusing import FRACTIONS, autofocus, complex_image
+from featreg.focusing.phase_error import Band
+from featreg.focusing.pulse_spectra import PulseSpectra, pulse_spectra
+from featreg.io import as_image
+from featreg.presets import PRESETS
+from featreg.sar.gradients.gradient_field import GradientField
+from featreg.sar.keypoints.gradient_histograms import dominant_orientation, further_orientations
+from featreg.simulate import SimulatedPair, sar_pair
+
+# (method, part, parameter, value, what the paper says)
+SAID: list[tuple[str, str, str, Any, str]] = [
+    ("sar-orb-paper", "detector", "edge", "eq5", "The SAR edge image can be acquired using (5)"),
+    ("sar-orb-paper", "detector", "clip", False, "Eq. 5 has no upper limit"),
+    ("sar-orb-paper", "detector", "centroid", "edges", "FAST keypoints are detected at each edge layer ... centroid"),
+    ("sar-orb-paper", "detector", "subpixel", "corner", "the coordinate of corner q is (7)"),
+    ("sar-orb-paper", "detector", "quota_decay", 1.2, "features selected from each layer decreases with ... scale"),
+    ("sar-orb-paper", "detector", "levels", 8, "ORB's pyramid"),
+    ("sar-orb-paper", "descriptor", "bits", 256, "the BRIEF approach, as in ORB"),
+    ("sar-orb-paper", "descriptor", "spread", 6.2, "BRIEF: a Gaussian of a fifth of the patch of 31"),
+    ("sar-orb-paper", "nearest", "mutual", False, "a brute force algorithm is adopted to roughly match"),
+    ("sar-sift-paper", "detector", "alpha", 2.0, "alpha_0 = 2"),
+    ("sar-sift-paper", "detector", "scales", 8, "k = 0 to 7"),
+    ("sar-sift-paper", "detector", "factor", 2 ** (1 / 3), "a constant 2^(1/3) between two scales"),
+    ("sar-sift-paper", "detector", "integration", math.sqrt(2), "Gaussian of sqrt(2) alpha"),
+    ("sar-sift-paper", "detector", "d", 0.04, "d = 0.04"),
+    ("sar-sift-paper", "detector", "second", 0.8, "directions of at least 0.8 of the highest peak, as SIFT"),
+    ("sar-sift-paper", "nearest", "ratio", 0.8, "ratio test of SIFT"),
+    ("s-gof-paper", "descriptor", "magnification", 6.0, "SIFT's window: four cells of 3 sigma a side"),
+    ("m-gof-paper", "descriptor", "scales", 4, "several scales of filters"),
+    ("bfsift-paper", "detector", "exact", True, "bilateral filters instead of Gaussian ones"),
+    ("bfsift-paper", "detector", "skip", 1, "without the finest scale"),
+    ("c-obcls-paper", "matcher", "tie_points", "c", "1) centroids' positions"),
+    ("cc-obcls-paper", "matcher", "tie_points", "cc", "2) peak of the complex 2D cross-correlation modulus"),
+    ("rc-obcls-paper", "matcher", "tie_points", "rc", "3) peak of the real 2D cross-correlation"),
+    ("rc-obcls-paper", "matcher", "association", "nearest", "a minimum distance criterion"),
+    ("rc-obcls-paper", "matcher", "passes", 1, "no pass on an aligned image"),
+    ("rc-obcls-paper", "matcher", "order", 17, "the order equal to 17 over a domain of 25 pixels"),
+    ("rc-obcls-paper", "matcher", "median", 7, "a neighborhood of 7 x 7 pixels"),
+]
+
+
+@pytest.mark.parametrize(("method", "role", "name", "value", "sentence"), SAID, ids=[f"{s[0]}.{s[2]}" for s in SAID])
+def test_a_parameter_is_what_its_paper_says(method: str, role: str, name: str, value: Any, sentence: str) -> None:
+    part = getattr(PRESETS[method], role)
+    given = {**registry.entry(role, part.name).parameters, **part.parameters}
+    assert given[name] == pytest.approx(value), sentence
+
+
+def test_filters_follow_the_papers() -> None:
+    # "GMS ... for each small pair ... In the global scope ... FSC"
+    assert [part.name for part in PRESETS["sar-orb-paper"].filters] == ["gms", "fsc"]
+    # Eq. 4: MAD, "starting from kappa = 3 and reducing it until reaching 2"
+    (mad,) = PRESETS["rc-obcls-paper"].filters
+    assert (mad.name, mad.parameters["threshold"]) == ("mad", "mad")
+    assert all(not PRESETS[name].refine for name in PRESETS if name.endswith("-paper"))
+
+
+def test_corners_take_their_direction_from_the_edges_where_the_paper_does(pair: SimulatedPair) -> None:
+    image = as_image(pair.reference[:200, :200])
+    ours, paper = (
+        registry.create("detector", "sar-ofast", n_features=300, centroid=kind).detect_features(image)
+        for kind in ("amplitude", "edges")
+    )
+    np.testing.assert_array_equal(ours.xy, paper.xy)
+    assert np.abs(np.angle(np.exp(1j * (ours.angle - paper.angle)))).max() > 0.5
+
+
+def test_unclipped_edges_leave_less_to_the_weak_ones(pair: SimulatedPair) -> None:
+    image = as_image(pair.reference[:200, :200])
+    counts = [
+        len(registry.create("detector", "sar-ofast", n_features=50000, clip=clip).detect_features(image))
+        for clip in (True, False)
+    ]
+    assert 0 < counts[1] < counts[0]
+
+
+def test_the_finest_scale_can_be_left_out(pair: SimulatedPair) -> None:
+    image = as_image(pair.reference[:160, :160])
+    every, fewer = (registry.create("detector", "bf-sift", skip=skip).detect_features(image) for skip in (0, 1))
+    assert every.level.min() == 0
+    assert fewer.level.min() >= 1
+
+
+def test_two_directions_of_equal_strength_are_two_orientations() -> None:
+    """Half of the disc has gradients to the right, the other half upwards, a little weaker."""
+    gx, gy = np.zeros((64, 64), np.float32), np.zeros((64, 64), np.float32)
+    gx[:, :33], gy[:, 33:] = 1.0, -0.9
+    at, radius = np.array([[31.5, 31.5]]), np.array([12.0])
+    field = GradientField(gx, gy)
+    assert dominant_orientation(field, at, radius)[0] == pytest.approx(0, abs=0.1)
+    rows, angles = further_orientations(field, at, radius, 0.6)
+    assert rows.tolist() == [0]
+    assert angles[0] == pytest.approx(np.pi / 2, abs=0.1)
+    assert len(further_orientations(field, at, radius, 0.99)[0]) == 0
+
+
+def test_further_orientations_make_further_keypoints_at_the_same_places(pair: SimulatedPair) -> None:
+    image = as_image(pair.reference[:200, :200])
+    one, more = (
+        registry.create("detector", "sar-harris", n_features=100000, second=share).detect_features(image)
+        for share in (1.0, 0.8)
+    )
+    assert len(one) < len(more) < 2 * len(one)
+    assert {tuple(p) for p in one.xy} == {tuple(p) for p in more.xy}
+    few = registry.create("detector", "sar-harris", n_features=50, second=0.8).detect_features(image)
+    assert len(few) == 50
+
+
+@pytest.mark.parametrize("method", ["s-gof-paper", "m-gof-paper"])
+def test_gabor_descriptors_see_the_window_of_sift(method: str) -> None:
+    """With a radius of one sigma, 1 or 2 px, hardly anything matched."""
+    pair = sar_pair((300, 300), rotation_deg=4, seed=2, looks=4)
+    reg = featreg.match(pair.reference, pair.secondary, method=method, n_features=2000)
+    scores = featreg.evaluate(reg, pair.truth)
+    assert reg.status == "ok"
+    assert scores.ncm > 40
+    assert scores.precision > 0.25
+
+
+# Autofocus
+
+
+def test_the_published_forms_take_five_percent_and_all_for_pga() -> None:
+    assert [FRACTIONS[f"{name}-paper"] for name in ("pmea", "mea", "mca", "pga")] == [0.05, 0.05, 0.05, 1.0]
+
+
+def test_published_minimum_entropy_is_the_fixed_point_alone() -> None:
+    """phase = angle(sum S conj(FFT(ln p g))), from zero, energies kept, nothing taken back."""
+    rng = np.random.default_rng(0)
+    image = (rng.normal(size=(64, 40)) + 1j * rng.normal(size=(64, 40))) * rng.uniform(0.5, 3, 40)
+    cells: PulseSpectra = pulse_spectra(image, 0, np.arange(40), normalize=False)
+    band = Band.of(cells.power())
+    found = autofocus.estimate("mea-paper", cells, band, max_iterations=3)
+    spectra = np.fft.fft(image.T, axis=1, norm="ortho")
+    spectra /= np.sqrt(np.mean(np.sum(np.abs(spectra) ** 2, axis=1)))
+    phase = np.zeros(64)
+    for _ in range(3):
+        g = np.fft.ifft(spectra * np.exp(-1j * phase), axis=1, norm="ortho")
+        p = np.abs(g) ** 2 * 64
+        phase = np.angle(np.sum(spectra * np.conj(np.fft.fft(np.log(p) * g, axis=1, norm="ortho")), axis=0))
+    assert np.abs(np.angle(np.exp(1j * (found.phase - phase)))).max() < 1e-2
+
+
+def test_the_published_form_keeps_energies_and_counts_points_of_the_image_as_it_is(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rng = np.random.default_rng(1)
+    image = (rng.normal(size=(64, 64)) + 1j * rng.normal(size=(64, 64))).astype(np.complex64)
+    seen: dict[str, Any] = {}
+    module: Any = sys.modules[complex_image.__name__]
+    real_spectra, real_counts = module.pulse_spectra, module._counts
+
+    def spectra(*args: Any, **keywords: Any) -> Any:
+        seen["normalize"] = keywords["normalize"]
+        return real_spectra(*args, **keywords)
+
+    def counts(pixels: Any, *args: Any) -> Any:
+        seen["pixels"] = pixels
+        return real_counts(pixels, *args)
+
+    monkeypatch.setattr(module, "pulse_spectra", spectra)
+    monkeypatch.setattr(module, "_counts", counts)
+    featreg.focus(image, "pmea-paper", normalize=True, max_iterations=2)
+    assert seen["normalize"] is False
+    np.testing.assert_array_equal(seen["pixels"], image)
