@@ -73,7 +73,10 @@ def scores_of_opencv(made: tuple[NDArray[Any], NDArray[Any], NDArray[Any] | None
     reference, secondary, matrix = made
     nm, ncm, precision, rmse = score_errors(match_errors(reference, secondary, pair.truth))
     shape = (pair.reference.shape[0], pair.reference.shape[1])
-    grid = np.nan if matrix is None else grid_rmse(as_model(matrix), pair.truth, shape)
+    try:
+        grid = np.nan if matrix is None else grid_rmse(as_model(matrix), pair.truth, shape)
+    except featreg.errors.InputError:  # OpenCV may return a matrix that cannot be inverted
+        grid = np.nan
     return {"ok": float(matrix is not None), "nm": nm, "ncm": ncm, "precision": precision, "rmse": rmse, "grid": grid}
 
 
