@@ -94,7 +94,9 @@ def sensor_from_dict(values: Mapping[str, Any]) -> Sensor:
             return SicdSensor(**given)
         if kind == "range-doppler":
             return RangeDopplerSensor(**given)
-    except (TypeError, KeyError) as error:
+    except InputError:
+        raise
+    except (TypeError, LookupError, ValueError, ArithmeticError) as error:
         raise InputError(f"no sensor of type '{kind}' has the values {sorted(given)}: {error}") from error
     raise InputError(
         f"a sensor's type must be 'sicd', 'range-doppler', 'rpc', 'geotransform', 'gcps' or 'corrected', got {kind!r}"

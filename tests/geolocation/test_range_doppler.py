@@ -234,6 +234,13 @@ class TestRecord:
             sensor(**more)
 
     def test_values_of_no_sensor(self) -> None:
+        values = sensor().to_dict()
+        for name, wrong in (("times", ["a"]), ("positions", [[1.0]]), ("shape", [1]), ("velocities", None)):
+            with pytest.raises(InputError):
+                sensor_from_dict({**values, name: wrong})
+        near = np.asarray(values["times"], np.float64) * 1e-300
+        with pytest.raises(InputError):
+            sensor_from_dict({**values, "times": near.tolist()})
         with pytest.raises(InputError, match="no sensor of type 'range-doppler'"):
             sensor_from_dict({"type": "range-doppler", "orbit": 1})
 

@@ -63,7 +63,9 @@ def sensor_of_annotation(path: str | Path, content: bytes | None = None) -> dict
     """
     root = parsed(path, content)
     try:
-        return _sensor(root)
+        # Numbers of a damaged file may be anything.
+        with np.errstate(all="ignore"):
+            return _sensor(root)
     except (AttributeError, TypeError, ValueError, IndexError) as error:
         raise InputError(
             f"{path}: is not a whole annotation of a Sentinel-1 image ({type(error).__name__}: {error})"

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from featreg.errors import InputError
 from featreg.io.products.capella import metadata_of, sensor_of_capella
 from featreg.io.products.sentinel1 import LARGEST, annotation_name, sensor_of_annotation
 
@@ -32,7 +31,7 @@ def stated_sensor(name: str, tags: Mapping[str, str], shape: tuple[int, int]) ->
     """
     try:
         found = _found(name, tags)
-    except (InputError, OSError, zipfile.BadZipFile, KeyError, ValueError) as error:
+    except (OSError, zipfile.BadZipFile, LookupError, ValueError, ArithmeticError, RuntimeError) as error:
         logger.warning("%s: the metadata of its product cannot be used (%s)", name, " ".join(str(error).split()))
         return None
     if found is not None and tuple(found["shape"]) != tuple(shape):

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
+import re
 import warnings
 import zipfile
 from datetime import datetime, timedelta
@@ -95,6 +97,12 @@ class TestCapella:
             assert stated_sensor("a.tif", {"TIFFTAG_IMAGEDESCRIPTION": '{"collect": {}}'}, SHAPE) is None
         assert "cannot be used" in caplog.text
 
+    @pytest.mark.parametrize(
+        "text", ['{"collect": ' * 3000, '{"collect": {"image": {"image_geometry": []}}}', '{"collect"']
+    )
+    def test_nonsense_is_left_out(self, text: str) -> None:
+        assert stated_sensor("a.tif", {"TIFFTAG_IMAGEDESCRIPTION": text}, SHAPE) is None
+
     def test_a_part_that_was_cut_out(self, caplog: pytest.LogCaptureFixture) -> None:
         with caplog.at_level(logging.WARNING):
             assert stated_sensor("a.tif", {"TIFFTAG_IMAGEDESCRIPTION": capella()}, (100, 100)) is None
@@ -119,6 +127,19 @@ class TestSentinel1:
         assert stated_sensor(inside, {}, SHAPE) == plain
         assert stated_sensor(inside.replace("s1a-vv", "other"), {}, SHAPE) is None
         assert stated_sensor(str(folder / "measurement" / "other.tiff"), {}, SHAPE) is None
+
+    @pytest.mark.parametrize("number", ["inf", "nan", "1e400", "-1", "x"])
+    def test_numbers_that_no_image_has(self, tmp_path: Path, annotation: Any, number: str) -> None:
+        folder = tmp_path / "S1A.SAFE"
+        (folder / "annotation").mkdir(parents=True)
+        text = annotation("tops")[0]
+        for name in ("numberOfSamples", "linesPerBurst", "azimuthTimeInterval"):
+            changed = re.sub(f"<{name}>[^<]*<", f"<{name}>{number}<", text)
+            (folder / "annotation" / "s1a-vv.xml").write_text(changed)
+            found = stated_sensor(str(folder / "measurement" / "s1a-vv.tiff"), {}, SHAPE)
+            if found is not None:
+                with contextlib.suppress(InputError):
+                    sensor_from_dict(found).ground_to_image(np.array([[12.0, 47.0]]), 0.0)
 
     def test_an_image_of_the_product_is_located_by_it(self, tmp_path: Path, annotation: Any) -> None:
         folder = tmp_path / "S1A.SAFE"
