@@ -204,6 +204,7 @@ def _table(table: ReportTable) -> dict[str, Any]:
         "differences": spreads(table.differences),
         "baseline": table.baseline,
         "confidence": table.confidence,
+        "texts": dict(table.texts),
     }
 
 

@@ -105,6 +105,7 @@ class ReportTable:
     differences : method -> column -> (mean difference from `baseline`, low, high)
     baseline : label of the method that the differences are from
     confidence : of the intervals
+    texts : "table.csv" and "table.tex" -> the table as such a file, for the reader to take along
     """
 
     columns: Sequence[ReportColumn] = ()
@@ -113,6 +114,7 @@ class ReportTable:
     differences: Mapping[str, Mapping[str, Spread]] = field(default_factory=dict)
     baseline: str = ""
     confidence: float = 0.95
+    texts: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

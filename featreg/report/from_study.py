@@ -111,6 +111,7 @@ def _table(table: Table) -> ReportTable:
         _differences(table),
         baseline,
         table.confidence,
+        {"table.csv": table.to_csv(), "table.tex": table.to_latex()},
     )
 
 

@@ -20,6 +20,7 @@ SCRIPTS = (
     "data.js",
     "table.js",
     "charts.js",
+    "downloads.js",
     "canvas.js",
     "painting.js",
     "handling.js",

@@ -424,3 +424,29 @@ def test_twenty_pairs_of_five_thousand_matches_open(
     canvas.focus()
     canvas.press("ArrowRight")
     assert "px from the truth" in seen.page.locator("output.point").inner_text()
+
+
+def test_tables_and_charts_can_be_taken_along(visit: Callable[..., Visit], sar_texture: Make, tmp_path: Path) -> None:
+    from xml.etree import ElementTree
+
+    study = study_of(sar_texture)
+    texts = {"table.csv": "pair,ncm\na,1\n", "table.tex": "\\begin{table}</script>\\end{table}\n"}
+    write_report(tmp_path / "r.html", replace(study, table=replace(study.table, texts=texts)))
+    page = visit(path=tmp_path / "r.html").page
+    for label, name in (("CSV", "table.csv"), ("LaTeX", "table.tex")):
+        with page.expect_download() as caught:
+            page.get_by_role("link", name=label, exact=True).click()
+        assert caught.value.suggested_filename == name
+        assert caught.value.path().read_text(encoding="utf-8") == texts[name]
+    links = page.get_by_role("link", name="Save as SVG")
+    assert links.count() >= 3
+    for k in range(links.count()):
+        with page.expect_download() as caught:
+            links.nth(k).click()
+        assert caught.value.suggested_filename.endswith(".svg")
+        root = ElementTree.parse(caught.value.path()).getroot()
+        assert root.tag == "{http://www.w3.org/2000/svg}svg"
+        assert len(list(root.iter())) > 10
+        # Outside the page nothing refers to its style any more.
+        assert not any("class" in part.attrib for part in root.iter())
+        assert "var(" not in caught.value.path().read_text(encoding="utf-8")
