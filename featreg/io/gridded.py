@@ -63,6 +63,11 @@ class Variable:
         return None
 
     @property
+    def unsigned(self) -> bool:
+        """Whether signed numbers stand for unsigned ones, which netCDF's classic format lacks."""
+        return self.dtype.kind == "i" and text_of(self.attributes.get("_Unsigned")).lower() == "true"
+
+    @property
     def is_image(self) -> bool:
         """Whether it has two axes, others of length 1 before them apart."""
         flat = len(self.shape) >= 2 and all(n == 1 for n in self.shape[:-2]) and min(self.shape[-2:]) > 1
@@ -71,6 +76,8 @@ class Variable:
     def samples(self, rows: slice, cols: slice) -> NDArray[Any]:
         raw = self.read((*(0 for _ in self.shape[:-2]), rows, cols))
         raw = raw.reshape(raw.shape[-2:])
+        if self.parts is None and self.unsigned:
+            return raw.astype(raw.dtype.newbyteorder("=")).view(raw.dtype.name.replace("int", "uint"))
         if self.parts is None:
             return raw.astype(raw.dtype.newbyteorder("="), copy=False)
         out = np.empty(raw.shape, np.complex64)
@@ -117,7 +124,7 @@ class GriddedReader:
                 Band(
                     variable.name.lstrip("/"),
                     (height, width),
-                    "complex64" if variable.parts else variable.dtype.name,
+                    _dtype_name(variable),
                     said=scale_in_words(variable.name.rpartition("/")[2], *words),
                     nodata=_first(attributes, "_FillValue", "missing_value", "nodata"),
                     gain=_or(number_of(attributes.get("scale_factor")), 1.0),
@@ -256,6 +263,12 @@ class GriddedReader:
         gcps = np.array(points, np.float64)
         good: BoolArray = np.isfinite(gcps).all(axis=1) & (np.abs(gcps[:, 2]) <= 360) & (np.abs(gcps[:, 3]) <= 90)
         return Geolocation(crs="EPSG:4326", gcps=gcps[good]) if good.sum() > 3 else None
+
+
+def _dtype_name(variable: Variable) -> str:
+    if variable.parts:
+        return "complex64"
+    return variable.dtype.name.replace("int", "uint") if variable.unsigned else variable.dtype.name
 
 
 def _folders(name: str) -> list[str]:

@@ -5,6 +5,7 @@ The measurements of a SAFE are those that its manifest names, whether or not its
 
 from __future__ import annotations
 
+import logging
 import os
 import posixpath
 import re
@@ -39,6 +40,8 @@ SENTINEL_1 = re.compile(r"s1.-(\w+?)-(\w+?)-(\w\w)-.*?(?:-(\d{3}))?\.tiff?$", re
 #: Band and resolution of Sentinel-2.
 SENTINEL_2 = re.compile(r"_((?:B\w\w|AOT|SCL|TCI|WVP)(?:_\d\dm)?)\.jp2$")
 
+logger = logging.getLogger("featreg.io")
+
 
 class Tree(Protocol):
     """Files below a folder, or in an archive."""
@@ -47,6 +50,9 @@ class Tree(Protocol):
 
     def names(self) -> Sequence[str]:
         """Paths of all files, with "/" between their parts."""
+
+    def holds(self, name: str) -> bool:
+        """Whether a file is there."""
 
     def content(self, name: str, most: int) -> bytes:
         """The bytes of a file, at most so many."""
@@ -76,6 +82,12 @@ class FolderTree:
         except OSError as error:
             raise InputError(f"{self.called}: the folder cannot be looked through ({error.strerror})") from error
         return found
+
+    def holds(self, name: str) -> bool:
+        try:
+            return (self.folder / name).is_file()
+        except (OSError, ValueError):
+            return False
 
     def content(self, name: str, most: int) -> bytes:
         try:
@@ -116,6 +128,9 @@ class ZipTree:
 
     def names(self) -> Sequence[str]:
         return self._names
+
+    def holds(self, name: str) -> bool:
+        return name in self._names
 
     def content(self, name: str, most: int) -> bytes:
         with decoding(self.path, "ZIP"), zipfile.ZipFile(self.path) as archive, archive.open(name) as file:
@@ -182,7 +197,7 @@ def open_safe(tree: Tree, manifest: str) -> Reader:
     Raises
     ------
     InputError
-        The manifest cannot be read, names no measurement, or one that is not there.
+        The manifest cannot be read, names no measurement, or none that is there.
     """
     content = tree.content(manifest, LARGEST_MANIFEST + 1)
     where = f"{tree.called}: its {MANIFEST}"
@@ -200,9 +215,15 @@ def open_safe(tree: Tree, manifest: str) -> Reader:
     files = list(dict.fromkeys(files))[:MOST_MEASUREMENTS]
     if not files:
         raise InputError(f"{where} names no measurement; products of Sentinel-1 and Sentinel-2 are read")
+    # Who needs one polarisation or swath often has no other.
+    present = [file for file in files if tree.holds(file)]
+    if not present:
+        raise InputError(f"{where} names {len(files)} measurements, and none is there, such as '{files[0][:120]}'")
+    if len(present) < len(files):
+        logger.info("%s names %d measurements, of which %d are there", where, len(files), len(present))
     opened: list[tuple[str, GdalReader]] = []
     try:
-        for file in files:
+        for file in present:
             driver = "JP2OpenJPEG" if file.lower().endswith(".jp2") else "GTiff"
             opened.append(
                 (measurement_name(file), GdalReader(tree.gdal_name(file), [driver], f"{tree.called}: {file}"))

@@ -324,11 +324,19 @@ def test_a_product_that_names_files_outside_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="outside the product"):
         as_image(root)
     manifest.write_text('<X><fileLocation href="measurement/gone.tiff"/></X>')
-    with pytest.raises(InputError, match="which is not there"):
+    with pytest.raises(InputError, match=r"names 1 measurements, and none is there, such as 'measurement/gone.tiff'"):
         as_image(root)
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="directory without a product"):
         as_image(tmp_path / "empty")
+
+
+def test_a_product_with_one_polarisation_only(tmp_path: Path) -> None:
+    root = safe(tmp_path)
+    next((root / "measurement").glob("*-vh-*")).unlink()
+    np.testing.assert_array_equal(as_image(root).pixels, AMPLITUDE.astype(np.uint16))
+    with pytest.raises(InputError, match="band 'VH'"):
+        as_image(root, band="VH")
 
 
 def test_a_safe_product_in_an_archive(tmp_path: Path) -> None:
@@ -386,6 +394,21 @@ def test_packed_values_of_netcdf_are_unpacked(tmp_path: Path) -> None:
     image = as_image(tmp_path / "a.h5")
     np.testing.assert_array_equal(image.mask[:, 0], np.arange(H) >= 5)
     np.testing.assert_allclose(image.pixels[5:], packed[5:] * 0.1 + 2, rtol=1e-6)
+
+
+def test_unsigned_numbers_of_classic_netcdf(tmp_path: Path) -> None:
+    from scipy.io import netcdf_file
+
+    file: Any
+    with netcdf_file(tmp_path / "a.nc", "w") as file:
+        file.createDimension("y", H)
+        file.createDimension("x", W)
+        band = file.createVariable("Band1", "b", ("y", "x"))
+        band[:] = BYTES.view(np.int8)
+        band._Unsigned = "true"
+    image = as_image(tmp_path / "a.nc")
+    assert image.source_dtype == "uint8"
+    np.testing.assert_array_equal(image.pixels, BYTES)
 
 
 def test_a_header_that_states_more_than_its_bytes_hold(tmp_path: Path) -> None:
