@@ -12,6 +12,7 @@ import numpy as np
 
 from featreg.errors import ParameterError
 from featreg.interfaces import Descriptor, Detector, Matcher, Nearest, Plugin
+from featreg.runtime.buffers import keeping
 from featreg.runtime.threads import side_by_side
 from featreg.runtime.timing import stage
 from featreg.types import Features, FloatArray, Image, IntArray, Matches
@@ -61,9 +62,7 @@ class FeatureMatcher(Matcher):
 
     def match(self, reference: Image, secondary: Image) -> Matches:
         with stage("detect"):
-            found = self._each(
-                lambda image: self.detector.detect_features(image).best(self.n_features), [(reference,), (secondary,)]
-            )
+            found = self._each(self._detect, [(reference,), (secondary,)])
         if not len(found[0]) or not len(found[1]):
             return Matches.empty()
         rotation = self._vote(reference, secondary, *found)
@@ -81,6 +80,10 @@ class FeatureMatcher(Matcher):
             rotation=_wrapped(b.angle[j] - a.angle[i]),
             scale_ratio=b.scale[j] / np.maximum(a.scale[i], 1e-9),
         )
+
+    def _detect(self, image: Image) -> Features:
+        with keeping():
+            return self.detector.detect_features(image).best(self.n_features)
 
     def _describe(self, image: Image, features: Features) -> Features:
         # A descriptor that was asked for describes, whatever the detector may have returned.

@@ -40,7 +40,8 @@ class GradientField:
 
         magnitude, direction = cv2.cartToPolar(self.x, self.y)
         # Counter-clockwise as seen is the other way round than OpenCV's, whose y points down.
-        both = np.asarray(magnitude, np.float32), np.asarray(np.float32(2 * math.pi) - direction, np.float32)
+        np.subtract(np.float32(2 * math.pi), direction, out=direction)
+        both = np.asarray(magnitude, np.float32), np.asarray(direction, np.float32)
         for part in both:
             part.flags.writeable = False
         return both

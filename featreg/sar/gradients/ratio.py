@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import ParameterError
+from featreg.runtime.buffers import scratch
 from featreg.sar.speckle import filled_amplitude
 from featreg.types import BoolArray, Image
 
@@ -115,7 +116,7 @@ def _means_to_ratios(amplitude: F32, alpha: float, floor: float | None, gx: F32,
     # Beyond this the weights are equal over any image, and in float32 the decay must stay below 1.
     alpha = min(alpha, 1e5)
     decay = math.exp(-1.0 / alpha)
-    up = np.empty((2, height, width), np.float32)
+    up = scratch("sums from above", (2, height, width))
     image = np.ascontiguousarray(amplitude, np.float32)
     mean = float(cv2.mean(image)[0])
     ratio_kernels.sums_from_above(image, np.float32((floor or 0.0) * mean), np.float32(decay), up)

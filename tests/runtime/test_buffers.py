@@ -1,0 +1,42 @@
+"""Arrays that are written anew: kept inside a piece of work, fresh outside it, each thread its own."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+
+from featreg.runtime import buffers
+from featreg.runtime.buffers import keeping, scratch
+
+
+def test_an_array_is_kept_while_the_work_runs_and_grows_with_what_is_asked_for() -> None:
+    with keeping():
+        first = scratch("a", (4, 5))
+        assert first.shape == (4, 5)
+        assert first.dtype == np.float32
+        assert np.shares_memory(first, scratch("a", (2, 3)))
+        assert not np.shares_memory(first, scratch("b", (4, 5)))
+        larger = scratch("a", (40, 5))
+        assert not np.shares_memory(first, larger)
+        with keeping():
+            assert np.shares_memory(larger, scratch("a", (4, 5)))
+        assert np.shares_memory(larger, scratch("a", (4, 5)))
+    assert not np.shares_memory(larger, scratch("a", (4, 5)))
+
+
+def test_what_is_too_large_and_other_threads_get_their_own() -> None:
+    with keeping():
+        mine = scratch("a", (100,))
+        theirs: list[bool] = []
+
+        def work() -> None:
+            with keeping():
+                theirs.append(np.shares_memory(mine, scratch("a", (100,))))
+
+        thread = threading.Thread(target=work)
+        thread.start()
+        thread.join()
+        assert theirs == [False]
+        large = buffers.LARGEST // 4 + 1
+        assert not np.shares_memory(scratch("a", (large,)), scratch("a", (large,)))
