@@ -33,7 +33,15 @@ RADIUS = 20.0
 def match(
     reference: Annotated[str, typer.Argument(metavar="REF", help="Reference image.", show_default=False)],
     secondary: Annotated[str, typer.Argument(metavar="SEC", help="Secondary image.", show_default=False)],
-    method: Annotated[str, typer.Option("--method", metavar="NAME", help="One of `featreg list method`.")] = "sar-orb",
+    method: Annotated[
+        str | None,
+        typer.Option(
+            "--method",
+            metavar="NAME",
+            help="One of `featreg list method`.",
+            show_default="auto, the first that is trusted of a few; with --set, sar-orb",
+        ),
+    ] = None,
     *,
     common: MethodOptions,
     blocks: BlockOptions,
@@ -127,6 +135,7 @@ def match(
         keep_freed_memory()
     with kept_when_interrupted(blocks.resume), limited_threads(workers, 1 if in_blocks else None):
         from featreg.matching import match as register
+        from featreg.pipeline.assembly import DEFAULT_METHOD
         from featreg.results.registration import Registration
 
         if initial is not None:
@@ -136,7 +145,8 @@ def match(
         result = register(
             reference,
             secondary,
-            method=method,
+            # What --set names is a part or a parameter of one method.
+            method=method or (DEFAULT_METHOD if settings else "auto"),
             seed=common.seed,
             initial=None if initial is None else _known_model(Registration.from_json(initial), initial),
             search_radius=search_radius,

@@ -35,7 +35,9 @@ def view(
     ] = None,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")] = True,
 ) -> None:
-    """Look at a result in a browser: swipe, flicker, overlay, tie points, residuals and gates.
+    """Look at a result in a browser.
+
+    The page holds both images to swipe and flicker, the overlay, tie points, residuals and gates.
 
     The page is one file that needs no network. Exit code 3 means that the registration cannot be trusted.
     """

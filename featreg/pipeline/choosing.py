@@ -81,8 +81,7 @@ def first_trusted(
     Registration
         That result; where none is trusted, the one of the fewest failed gates (no model counts as if all failed), the
         earliest of equals, with a reason that names all. `provenance["choice"]` holds the ``name``, the ``probe`` and
-        what was ``tried``: ``method``, ``status``, ``reason`` and ``seconds`` of each. The timings are those of all
-        together.
+        what was ``tried``: ``method``, ``status`` and ``reason`` of each. The timings are those of all together.
     """
     results: list[Registration] = []
     for pipeline in pipelines:
@@ -112,12 +111,7 @@ def _why_none(best: Registration, results: Sequence[Registration]) -> str:
 
 
 def _record(result: Registration) -> dict[str, Any]:
-    return {
-        "method": result.provenance["method"],
-        "status": result.status,
-        "reason": result.reason,
-        "seconds": round(sum(result.timings.values()), 3),
-    }
+    return {"method": result.provenance["method"], "status": result.status, "reason": result.reason}
 
 
 def _together(timings: Iterable[Mapping[str, float]]) -> dict[str, float]:
