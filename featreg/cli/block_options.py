@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 import time
@@ -15,6 +16,7 @@ import typer
 
 from featreg.cli.options import check_folder, number, whole_number
 from featreg.errors import InputError, ParameterError
+from featreg.io.source_names import parse_source
 
 if TYPE_CHECKING:
     from featreg.types import Image
@@ -106,9 +108,11 @@ def may_be_blocks(options: BlockOptions, files: Sequence[str]) -> bool:
     return asked or any(_size(file) > LARGE_BYTES for file in files)
 
 
-def _size(file: str) -> int:
+def _size(file: str) -> float:
+    """Bytes of a file; of a product's folder and of what lies elsewhere, that it may be large."""
+    path = parse_source(file).path
     try:
-        return os.path.getsize(file)
+        return math.inf if path is None or path.is_dir() else os.path.getsize(path)
     except OSError:
         return 0
 

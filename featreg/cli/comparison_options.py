@@ -151,15 +151,17 @@ def metrics_of(text: str | None, layout: str | None) -> tuple[str, ...]:
 
 def pairs_of(images: Sequence[str], truth: Sequence[str]) -> list[dict[str, Any]]:
     """The image pairs of a command line: REF SEC [REF SEC ...], or one folder of pairs."""
-    from featreg.study.image_pairs import pairs_in
+    from featreg.study.image_pairs import opens, pairs_in
 
     found: list[dict[str, Any]]
     if len(images) == 1 and Path(images[0]).is_dir():
         found = [dict(pair) for pair in pairs_in(images[0])]
     else:
-        folder = next((image for image in images if Path(image).is_dir()), None)
+        folder = next((image for image in images if Path(image).is_dir() and not opens(image)), None)
         if folder is not None:
-            raise InputError(f"'{folder}' is a directory: give one folder of pairs, or images REF SEC [REF SEC ...]")
+            raise InputError(
+                f"'{folder}' is a directory and no product: give one folder of pairs, or images REF SEC [REF SEC ...]"
+            )
         if len(images) % 2 or not images:
             last = f": '{images[-1]}' has no partner" if images else ""
             raise InputError(f"images come in pairs REF SEC [REF SEC ...], got {len(images)}{last}")

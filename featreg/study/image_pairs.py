@@ -22,7 +22,10 @@ ENDINGS = (
     ("1", "2"), ("a", "b"), ("reference", "secondary"), ("ref", "sec"), ("master", "slave"), ("before", "after"),
     ("pre", "post"),
 )  # fmt: skip
-IMAGE_SUFFIXES = (".tif", ".tiff", ".png", ".jpg", ".jpeg", ".bmp", ".npy", ".mat")
+IMAGE_SUFFIXES = (
+    ".tif", ".tiff", ".png", ".jpg", ".jpeg", ".bmp", ".npy", ".mat", ".jp2", ".img", ".ntf", ".nitf", ".vrt", ".h5",
+    ".nc", ".slc", ".dat", ".zip",
+)  # fmt: skip
 PAIR_KEYS = ("reference", "secondary", "truth", "name")
 
 
@@ -102,7 +105,7 @@ def _truth(truth: Any, images: Sequence[Any], where: str) -> Truth | None:
     try:
         return read_truth(truth, images=(images[0], images[1]))
     except FeatregError as error:
-        if not all(_opens(image) for image in images):
+        if not all(opens(image) for image in images):
             # The pair's own row says why it could not be matched.
             return None
         raise InputError(f"{where}: {error}") from error
@@ -116,7 +119,7 @@ def _file_or_name(image: Any) -> Any:
     return named.path if named.path is not None and named.dataset is None and named.gdal is None else image
 
 
-def _opens(image: Any) -> bool:
+def opens(image: Any) -> bool:
     """Whether an image can be opened at all; one that is no file is looked at when it is matched."""
     from featreg.io.opening import open_reader
 

@@ -73,3 +73,19 @@ def test_a_pair_that_cannot_be_read_is_a_row_with_its_reason(
     printed = capsys.readouterr()
     assert "broken or cut short" in printed.out + printed.err
     assert main(["compare", str(broken), str(files[1]), "--methods", "orb", *options]) == 2
+
+
+def test_products_that_are_folders_are_compared(files: tuple[Path, Path], tmp_path: Path) -> None:
+    given = []
+    for name, file in zip(("R.SAFE", "S.SAFE"), files, strict=True):
+        (tmp_path / name / "measurement").mkdir(parents=True)
+        (tmp_path / name / "measurement" / "s1a-iw-grd-vv-1-2.tiff").write_bytes(file.read_bytes())
+        (tmp_path / name / "manifest.safe").write_text(
+            '<X><fileLocation href="measurement/s1a-iw-grd-vv-1-2.tiff"/></X>'
+        )
+        given.append(str(tmp_path / name))
+    options = ["--reference-band", "2", "--secondary-band", "1", "--no-times", "--no-isolate"]
+    assert main(["compare", *given, "--methods", "orb", *options, "--resume", str(tmp_path / "kept")]) == 0
+    assert len(list((tmp_path / "kept").glob("*.json"))) == 1
+    (tmp_path / "empty").mkdir()
+    assert main(["compare", given[0], str(tmp_path / "empty"), "--methods", "orb"]) == 2
