@@ -15,6 +15,7 @@ from featreg.simulate.pairs import (
     sar_pair,
     similarity_matrix,
 )
+from featreg.simulate.series import SimulatedSeries, sar_series
 
 __all__ = [
     "FINER",
@@ -22,9 +23,11 @@ __all__ = [
     "STRIP",
     "DisplacedPair",
     "SimulatedPair",
+    "SimulatedSeries",
     "displaced_pair",
     "gamma_field",
     "painted",
     "sar_pair",
+    "sar_series",
     "similarity_matrix",
 ]

@@ -120,10 +120,10 @@ def sar_pair(
     layout, ground, first, second = np.random.default_rng(seed).spawn(4)
     reach = 64.0 * math.ceil(seen / 64)
     land = countryside(shape, reach, change, layout)
-    textures = _Textures.made(shape, reach, ground)
+    textures = Textures.made(shape, reach, ground)
     still = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-    reference = _render(land, textures, still, shape, 0, looks, first)
-    secondary = _render(land, textures, truth, shape, 1, looks, second)
+    reference = render(land, textures, still, shape, 0, looks, first)
+    secondary = render(land, textures, truth, shape, 1, looks, second)
     targets = land.xy[land.isolated]
     margin, limit = RADIUS, np.array(shape[::-1]) - 1 - RADIUS
     both = [((xy > margin) & (xy < limit)).all(axis=1) for xy in (targets, _mapped(truth, targets))]
@@ -135,7 +135,7 @@ def _mapped(matrix: FloatArray, xy: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class _Textures:
+class Textures:
     """Two natural textures of the ground as gamma-distributed fields of mean 1 on a lattice of one pixel."""
 
     origin: FloatArray
@@ -143,7 +143,7 @@ class _Textures:
     fine: NDArray[np.float32]
 
     @classmethod
-    def made(cls, shape: tuple[int, int], reach: float, rng: np.random.Generator) -> _Textures:
+    def made(cls, shape: tuple[int, int], reach: float, rng: np.random.Generator) -> Textures:
         origin = np.floor((np.array(shape[::-1]) - 1) / 2 - reach)
         side = int(2 * reach) + 2
         return cls(origin, gamma_field(side, 5.0, 3, rng), gamma_field(side, 1.2, 2, rng))
@@ -173,9 +173,9 @@ def gamma_field(side: int, smoothness: float, order: int, rng: np.random.Generat
     return total / np.float32(2 * order)
 
 
-def _render(
+def render(
     land: Landscape,
-    textures: _Textures,
+    textures: Textures,
     matrix: FloatArray,
     shape: tuple[int, int],
     date: int,

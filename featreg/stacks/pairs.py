@@ -1,0 +1,135 @@
+"""The pairs of a stack: which ones are matched, and what a match says."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import numpy as np
+
+from featreg.errors import ParameterError
+from featreg.geometry import inverse_variances, model_from_dict, model_to_dict, prediction
+from featreg.interfaces import FailedFit, Model
+from featreg.results.registration import Registration
+from featreg.types import FloatArray
+
+#: Nodes along each side of the first image on which a pair is weighed, and the share of the side that they leave free.
+NODES, RIM = 5, 0.1
+#: A pair is never taken to be better than this, px: what the fit of a peak and the sampling leave.
+FINEST_PX = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class StackPair:
+    """Two images of a stack and what their match says.
+
+    Parameters
+    ----------
+    first, second : numbers of the images, first < second
+    status : "ok" or "unreliable", of the match
+    reason : why it is unreliable
+    model : first -> second; None where it is unreliable
+    nodes : (N, 2) float64 px, points of the first image
+    covariance : (N, 2, 2) float64 px^2 of where the model maps them
+    weight : 0 to 1, what the adjustment left of the pair's weight; 1 before it
+    misfit : px, RMS over the nodes of its distance from the adjusted models; NaN before the adjustment
+    """
+
+    first: int
+    second: int
+    status: str
+    reason: str
+    model: Model | None
+    nodes: FloatArray
+    covariance: FloatArray
+    weight: float = 1.0
+    misfit: float = float("nan")
+
+    @property
+    def used(self) -> bool:
+        """Whether the match is trusted and the adjustment did not throw the pair out."""
+        return self.model is not None and self.weight >= THROWN_OUT
+
+    def numbered(self, first: int, second: int) -> Self:
+        """The same pair under other numbers."""
+        return replace(self, first=first, second=second)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what a file holds of it."""
+        return {
+            "first": self.first,
+            "second": self.second,
+            "status": self.status,
+            "reason": self.reason,
+            "model": None if self.model is None else model_to_dict(self.model),
+            "nodes": self.nodes.tolist(),
+            "covariance": self.covariance.tolist(),
+            "weight": self.weight,
+            "misfit": None if np.isnan(self.misfit) else self.misfit,
+        }
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Self:
+        """Return the pair that `to_dict` wrote; errors of a missing key or of a wrong model pass through."""
+        model, misfit = values["model"], values["misfit"]
+        return cls(
+            int(values["first"]), int(values["second"]), str(values["status"]), str(values["reason"]),
+            None if model is None else model_from_dict(model),
+            np.array(values["nodes"], np.float64).reshape(-1, 2),
+            np.array(values["covariance"], np.float64).reshape(-1, 2, 2),
+            float(values["weight"]), float("nan") if misfit is None else float(misfit),
+        )  # fmt: skip
+
+
+#: Pairs of less weight are thrown out and named.
+THROWN_OUT = 0.1
+
+
+def planned(count: int, reference: int, pairs: Any) -> list[tuple[int, int]]:
+    """Return the pairs of a stack that are matched, each (first, second) with first < second.
+
+    Parameters
+    ----------
+    count : how many images, in the order of time
+    reference : number of the reference
+    pairs : None for each image with the next two and with the reference, which makes loops of three everywhere at a
+        cost that grows with the number of images; "chain" for each with the next; "all"; K for each with the next K
+
+    Raises
+    ------
+    ParameterError
+        Another value.
+    """
+    if pairs is None:
+        star = {tuple(sorted((reference, i))) for i in range(count) if i != reference}
+        return sorted(star | set(_next(count, 2)))  # type: ignore[arg-type]
+    if pairs == "chain":
+        return _next(count, 1)
+    if pairs == "all":
+        return _next(count, count)
+    if isinstance(pairs, bool) or not isinstance(pairs, int | np.integer) or pairs < 1:
+        raise ParameterError(f"pairs must be 'all', 'chain' or a whole number >= 1, got {pairs!r}")
+    return _next(count, int(pairs))
+
+
+def _next(count: int, reach: int) -> list[tuple[int, int]]:
+    return [(i, k) for i in range(count) for k in range(i + 1, min(i + reach + 1, count))]
+
+
+def weighed(result: Registration, first: int, second: int, shape: tuple[int, int]) -> StackPair:
+    """Return the pair of a registration, with the covariance of its model over the first image (H, W)."""
+    x, y = (np.linspace(RIM, 1 - RIM, NODES) * (n - 1) for n in shape[::-1])
+    nodes = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
+    blank = np.zeros((0, 2, 2))
+    if result.status != "ok" or isinstance(result.model, FailedFit):
+        return StackPair(first, second, "unreliable", result.reason, None, nodes[:0], blank)
+    chosen = result.matches.take(np.flatnonzero(result.inliers))
+    known = prediction(
+        result.model, chosen.reference_xy, chosen.secondary_xy, inverse_variances(chosen.covariance), at=nodes
+    )
+    if isinstance(known, FailedFit):
+        reason = f"how well its tie points determine the model cannot be told ({known.reason})"
+        return StackPair(first, second, "unreliable", reason, None, nodes[:0], blank)
+    covariance = known.covariance + FINEST_PX**2 * np.eye(2)
+    return StackPair(first, second, "ok", "", result.model, nodes, covariance)

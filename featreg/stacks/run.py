@@ -1,0 +1,290 @@
+"""Many images to one stack: the pairs matched, the network adjusted, loops closed, jumps found."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from featreg.errors import InputError, ParameterError
+from featreg.geometry import Affine
+from featreg.interfaces import Model
+from featreg.io import as_image
+from featreg.io.raster_source import Source, open_source
+from featreg.matching import MOST_PIXELS, match
+from featreg.pipeline.assembly import DEFAULT_METHOD
+from featreg.registry import model_class
+from featreg.results.json_file import plain
+from featreg.runtime.cluster import dask_client
+from featreg.runtime.executors import check_executor, open_executor
+from featreg.runtime.parameters import check_seed
+from featreg.runtime.threads import worker_count
+from featreg.runtime.versions import versions
+from featreg.runtime.watching import Canceller, Progress, check_watch
+from featreg.scene.state import ArrayFiles, digest_of
+from featreg.stacks.closure import closure_of, loops
+from featreg.stacks.jumps import jumps
+from featreg.stacks.network import adjust
+from featreg.stacks.pairs import StackPair, planned, weighed
+from featreg.stacks.stack import Stack
+
+#: Further neighbours that are tried for an image that no pair leads to.
+SECOND_CHANCES = 3
+#: Fewest images of a stack.
+FEWEST = 2
+
+
+def register_stack(
+    images: Sequence[Any],
+    *,
+    reference: int | str = 0,
+    pairs: Any = None,
+    method: Any = DEFAULT_METHOD,
+    model: Any = None,
+    seed: int = 0,
+    executor: Any = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    resume: str | Path | None = None,
+    progress: Progress | None = None,
+    cancel: Canceller | None = None,
+    **keywords: Any,
+) -> Stack:
+    """Register many images of one place to one grid.
+
+    Parameters
+    ----------
+    images : paths, 2-D arrays or `Image`, in the order of time
+    reference : number of the image whose grid is taken, or "auto" for the one that its pairs determine best
+    pairs : which pairs are matched: None for each image with the next two and with the reference, "chain" for each with
+        the next, "all", or K for each with the next K
+    method, model, seed, keywords : as in `featreg.match`, for every pair
+    executor, workers, scheduler : what runs the pairs, or the blocks of each pair where the images are large; never
+        changes the result
+    resume : folder in which finished pairs are kept, and looked for; a longer stack finds those of a shorter one
+    progress : called with (pairs done, pairs in all)
+    cancel : an event; when set, the work stops between pairs with a `CancelledError`
+
+    Returns
+    -------
+    Stack
+        An image that no trusted pair leads to is left out with its reason, the rest goes on.
+
+    Raises
+    ------
+    InputError, ParameterError
+        Too few images, an unreadable one, an impossible parameter.
+    CancelledError
+        `cancel` was set.
+
+    Notes
+    -----
+    All models are adjusted at once (`featreg.stacks.network.adjust`), weighted by what the tie points of each pair
+    say of it; a pair that the others contradict is thrown out and named. `Stack.closure` is measured before that.
+    """
+    given = list(images)
+    if len(given) < FEWEST:
+        raise InputError(f"a stack needs at least {FEWEST} images, got {len(given)}")
+    check_seed(seed)
+    worker_count(workers)
+    check_executor(executor)
+    check_watch(progress, cancel)
+    count = len(given)
+    if reference != "auto" and (isinstance(reference, bool) or not isinstance(reference, int | np.integer)):
+        raise ParameterError(f"reference must be the number of an image or 'auto', got {reference!r}")
+    if reference != "auto" and not 0 <= int(reference) < count:
+        raise ParameterError(f"reference must be a number from 0 to {count - 1}, got {reference}")
+    options = {"method": method, "model": model, "seed": int(seed), **keywords}
+    how = {"executor": executor, "workers": workers, "scheduler": scheduler, "resume": resume, "cancel": cancel}
+    work = _Work(given, options, progress, how)
+    if reference == "auto":
+        work.match(planned(count, 0, 2 if pairs is None else pairs))
+        chosen = _best(work.found.values(), count)
+    else:
+        chosen = int(reference)
+    work.match(planned(count, chosen, pairs))
+    _second_chances(work, chosen, count)
+    return _assembled(work, chosen, pairs)
+
+
+def added(stack: Stack, image: Any, **how: Any) -> Stack:
+    """Return `Stack.add`."""
+    unknown = set(how) - {"executor", "workers", "scheduler", "resume", "cancel", "progress"}
+    if unknown:
+        raise ParameterError(f"add knows how the work is run, not {', '.join(sorted(unknown))}")
+    if len(stack.images) != len(stack.models):
+        raise InputError("the images of this stack are not at hand; register it anew")
+    options, pairs = dict(stack.provenance["options"]), stack.provenance["pairs"]
+    progress = how.pop("progress", None)
+    work = _Work([*stack.images, image], options, progress, how)
+    work.found = {(pair.first, pair.second): pair for pair in stack.pairs}
+    work.match([pair for pair in planned(len(work.images), stack.reference, pairs) if len(stack.images) in pair])
+    _second_chances(work, stack.reference, len(work.images), only=len(stack.images))
+    return _assembled(work, stack.reference, pairs)
+
+
+class _Work:
+    """The images of a stack and the pairs matched so far."""
+
+    def __init__(
+        self, images: list[Any], options: Mapping[str, Any], progress: Progress | None, how: Mapping[str, Any]
+    ) -> None:
+        self.options, self.progress, self.how = dict(options), progress, dict(how)
+        reading = {name: options[name] for name in ("nodata", "scale") if options.get(name) is not None}
+        self.sources: list[Source] = [open_source(image, **reading) for image in images]
+        self.images = [str(image) if isinstance(image, str | Path) else as_image(image, **reading) for image in images]
+        self.names = [str(image) if isinstance(image, str | Path) else f"image {i}" for i, image in enumerate(images)]
+        self.found: dict[tuple[int, int], StackPair] = {}
+
+    def match(self, wanted: Sequence[tuple[int, int]]) -> None:
+        """Match what is not matched yet."""
+        todo = [pair for pair in wanted if pair not in self.found]
+        files: dict[tuple[int, int], ArrayFiles] = {}
+        folder = self.how.get("resume")
+        for pair in [] if folder is None else list(todo):
+            files[pair] = ArrayFiles(str(folder), self._digest(pair), "pair")
+            kept = _loaded(files[pair])
+            if kept is not None:
+                self.found[pair] = kept.numbered(*pair)
+                todo.remove(pair)
+        total = len(todo)
+        for done, (pair, result) in enumerate(self._run(todo), 1):
+            self.found[pair] = result
+            if folder is not None:
+                text = json.dumps(result.to_dict(), allow_nan=False)
+                files[pair].save("result", {"pair": np.array(text)})
+            if self.progress is not None:
+                self.progress(done, total)
+
+    def _digest(self, pair: tuple[int, int]) -> str:
+        content = {
+            "inputs": [self.sources[i].identity() for i in pair],
+            "options": plain(
+                {
+                    k: v if isinstance(v, str | int | float | bool) or v is None else repr(v)
+                    for k, v in self.options.items()
+                }
+            ),
+            "versions": versions(),
+        }
+        return digest_of(content)
+
+    def _run(self, todo: Sequence[tuple[int, int]]) -> Any:
+        large = any(
+            self.sources[i].shape[0] * self.sources[i].shape[1] > MOST_PIXELS
+            for i in {n for pair in todo for n in pair}
+        ) or any(self.options.get(name) is not None for name in ("block", "dem", "height"))
+        workers, cancel = self.how.get("workers"), self.how.get("cancel")
+        with ExitStack() as stack:
+            runner = stack.enter_context(dask_client(self.how.get("scheduler"), self.how.get("executor")))
+            if large:
+                folder = self.how.get("resume")
+                for pair in todo:
+                    blocks = {"executor": runner, "workers": workers, "cancel": cancel}
+                    blocks["resume"] = None if folder is None else Path(folder) / "blocks"
+                    yield (
+                        pair,
+                        match_pair({**self.options, **blocks}, (*pair, self.images[pair[0]], self.images[pair[1]])),
+                    )
+                return
+            tasks = stack.enter_context(open_executor(runner, workers))
+            items = [(*pair, *(self.images[i] for i in pair)) for pair in todo]
+            for position, result in tasks.run(match_pair, (self.options,), items, cancel):
+                yield todo[position], result
+
+
+def match_pair(options: Mapping[str, Any], item: tuple[int, int, Any, Any]) -> StackPair:
+    """Match one pair of a stack."""
+    first, second, reference, secondary = item
+    result = match(reference, secondary, **options)
+    shape = result.reference.shape if result.reference is not None else open_source(reference).shape
+    return weighed(result, first, second, shape)
+
+
+def _loaded(files: ArrayFiles) -> StackPair | None:
+    columns = files.load("result")
+    if columns is None:
+        return None
+    try:
+        return StackPair.from_dict(json.loads(str(columns["pair"])))
+    except (ValueError, KeyError, TypeError, InputError) as error:
+        files.refuse("result", error)
+        return None
+
+
+def _best(pairs: Any, count: int) -> int:
+    """The image with the most trusted pairs; among equals, with the smallest median variance, then the most central."""
+    trusted = [pair for pair in pairs if pair.model is not None]
+
+    def rank(image: int) -> tuple[int, float, float]:
+        own = [np.trace(p.covariance, axis1=1, axis2=2).mean() for p in trusted if image in (p.first, p.second)]
+        return -len(own), float(np.median(own)) if own else np.inf, abs(image - (count - 1) / 2)
+
+    return min(range(count), key=rank)
+
+
+def _second_chances(work: _Work, reference: int, count: int, only: int | None = None) -> None:
+    """Match images that no pair leads to with further ones that are reached."""
+    for _ in range(SECOND_CHANCES):
+        reached = _reached(work.found.values(), reference)
+        lost = [i for i in range(count) if i not in reached and only in (None, i)]
+        more = []
+        for image in lost:
+            open_ = [
+                i
+                for i in sorted(reached, key=lambda i: (abs(i - image), i))
+                if tuple(sorted((i, image))) not in work.found
+            ]
+            more += [(min(open_[0], image), max(open_[0], image))] if open_ else []
+        if not more:
+            return
+        work.match(more)
+
+
+def _reached(pairs: Any, reference: int) -> set[int]:
+    seen, grown = {reference}, True
+    while grown:
+        grown = False
+        for pair in pairs:
+            if pair.model is not None and (pair.first in seen) != (pair.second in seen):
+                seen |= {pair.first, pair.second}
+                grown = True
+    return seen
+
+
+def _kind(model: Any) -> type[Model]:
+    if model is None:
+        return Affine
+    return model if isinstance(model, type) else model_class(str(model))
+
+
+def _assembled(work: _Work, reference: int, pairs: Any) -> Stack:
+    count = len(work.images)
+    shape = work.sources[reference].shape
+    ordered = [work.found[key] for key in sorted(work.found)]
+    made = adjust(ordered, count, reference, shape, _kind(work.options.get("model")))
+    closed = loops(ordered)
+    status = ["ok" if model is not None else "left out" for model in made.models]
+    reasons = ["" if model is not None else _why(made.pairs, i) for i, model in enumerate(made.models)]
+    provenance = {"options": work.options, "pairs": pairs, "unit_variance": made.unit, "versions": versions()}
+    stack = Stack(
+        work.names, reference, shape, made.models, status, reasons, made.standard_errors,
+        [closure_of(closed, i) for i in range(count)], closed, [], made.pairs, provenance, work.images,
+    )  # fmt: skip
+    found = jumps([stack.shift(i) for i in range(count)], np.nan_to_num(made.standard_errors).tolist())
+    return Stack(**{**vars(stack), "jumps": found})
+
+
+def _why(pairs: Sequence[StackPair], image: int) -> str:
+    """Why no trusted pair leads to an image."""
+    own = [pair for pair in pairs if image in (pair.first, pair.second)]
+    thrown = [pair for pair in own if pair.model is not None]
+    if thrown:
+        worst = max((p.misfit for p in thrown if np.isfinite(p.misfit)), default=float("nan"))
+        told = f" (by {worst:.1f} px)" if np.isfinite(worst) else ""
+        return f"none of its {len(own)} pairs agrees with the others{told}"
+    return f"none of its {len(own)} pairs can be trusted; the last one: {own[-1].reason}" if own else "it has no pair"
