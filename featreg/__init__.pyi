@@ -38,7 +38,7 @@ from .registry import register as register
 from .registry import register_family as register_family
 from .results.registration import Registration as Registration
 from .runtime.progress import progress_bar as progress_bar
-from .stacks.run import register_stack as register_stack
+from .stacks.registering import register_stack as register_stack
 from .stacks.stack import Stack as Stack
 from .study.comparison import compare as compare
 from .study.evaluation import evaluate as evaluate

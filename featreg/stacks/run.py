@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,90 +17,36 @@ from featreg.interfaces import Model
 from featreg.io import as_image
 from featreg.io.raster_source import Source, open_source
 from featreg.matching import MOST_PIXELS, match
-from featreg.pipeline.assembly import DEFAULT_METHOD
 from featreg.registry import model_class
 from featreg.results.json_file import plain
 from featreg.runtime.cluster import dask_client
-from featreg.runtime.executors import check_executor, open_executor
-from featreg.runtime.parameters import check_seed
-from featreg.runtime.threads import worker_count
+from featreg.runtime.executors import open_executor
 from featreg.runtime.versions import versions
-from featreg.runtime.watching import Canceller, Progress, check_watch
+from featreg.runtime.watching import Progress
 from featreg.scene.state import ArrayFiles, digest_of
 from featreg.stacks.closure import closure_of, loops
 from featreg.stacks.jumps import jumps
 from featreg.stacks.network import adjust
 from featreg.stacks.pairs import StackPair, planned, weighed
-from featreg.stacks.stack import Stack
+
+if TYPE_CHECKING:
+    from featreg.stacks.stack import Stack
 
 #: Further neighbours that are tried for an image that no pair leads to.
 SECOND_CHANCES = 3
-#: Fewest images of a stack.
-FEWEST = 2
 
 
-def register_stack(
-    images: Sequence[Any],
-    *,
-    reference: int | str = 0,
-    pairs: Any = None,
-    method: Any = DEFAULT_METHOD,
-    model: Any = None,
-    seed: int = 0,
-    executor: Any = None,
-    workers: int | None = None,
-    scheduler: str | None = None,
-    resume: str | Path | None = None,
-    progress: Progress | None = None,
-    cancel: Canceller | None = None,
-    **keywords: Any,
+def registered(
+    kind: type[Stack],
+    given: list[Any],
+    reference: int | str,
+    pairs: Any,
+    options: Mapping[str, Any],
+    progress: Progress | None,
+    how: Mapping[str, Any],
 ) -> Stack:
-    """Register many images of one place to one grid.
-
-    Parameters
-    ----------
-    images : paths, 2-D arrays or `Image`, in the order of time
-    reference : number of the image whose grid is taken, or "auto" for the one that its pairs determine best
-    pairs : which pairs are matched: None for each image with the next two and with the reference, "chain" for each with
-        the next, "all", or K for each with the next K
-    method, model, seed, keywords : as in `featreg.match`, for every pair
-    executor, workers, scheduler : what runs the pairs, or the blocks of each pair where the images are large; never
-        changes the result
-    resume : folder in which finished pairs are kept, and looked for; a longer stack finds those of a shorter one
-    progress : called with (pairs done, pairs in all)
-    cancel : an event; when set, the work stops between pairs with a `CancelledError`
-
-    Returns
-    -------
-    Stack
-        An image that no trusted pair leads to is left out with its reason, the rest goes on.
-
-    Raises
-    ------
-    InputError, ParameterError
-        Too few images, an unreadable one, an impossible parameter.
-    CancelledError
-        `cancel` was set.
-
-    Notes
-    -----
-    All models are adjusted at once (`featreg.stacks.network.adjust`), weighted by what the tie points of each pair
-    say of it; a pair that the others contradict is thrown out and named. `Stack.closure` is measured before that.
-    """
-    given = list(images)
-    if len(given) < FEWEST:
-        raise InputError(f"a stack needs at least {FEWEST} images, got {len(given)}")
-    check_seed(seed)
-    worker_count(workers)
-    check_executor(executor)
-    check_watch(progress, cancel)
+    """Return what `featreg.register_stack` does, of arguments that were checked; `kind` is the class of it."""
     count = len(given)
-    if reference != "auto" and (isinstance(reference, bool) or not isinstance(reference, int | np.integer)):
-        raise ParameterError(f"reference must be the number of an image or 'auto', got {reference!r}")
-    if reference != "auto" and not 0 <= int(reference) < count:
-        raise ParameterError(f"reference must be a number from 0 to {count - 1}, got {reference}")
-    options = {"method": method, "model": model, "seed": int(seed), **keywords}
-    how = {"executor": executor, "workers": workers, "scheduler": scheduler, "resume": resume, "cancel": cancel}
     work = _Work(given, options, progress, how)
     if reference == "auto":
         work.match(planned(count, 0, 2 if pairs is None else pairs))
@@ -108,7 +55,7 @@ def register_stack(
         chosen = int(reference)
     work.match(planned(count, chosen, pairs))
     _second_chances(work, chosen, count)
-    return _assembled(work, chosen, pairs)
+    return _assembled(kind, work, chosen, pairs)
 
 
 def added(stack: Stack, image: Any, **how: Any) -> Stack:
@@ -124,7 +71,7 @@ def added(stack: Stack, image: Any, **how: Any) -> Stack:
     work.found = {(pair.first, pair.second): pair for pair in stack.pairs}
     work.match([pair for pair in planned(len(work.images), stack.reference, pairs) if len(stack.images) in pair])
     _second_chances(work, stack.reference, len(work.images), only=len(stack.images))
-    return _assembled(work, stack.reference, pairs)
+    return _assembled(type(stack), work, stack.reference, pairs)
 
 
 class _Work:
@@ -262,7 +209,7 @@ def _kind(model: Any) -> type[Model]:
     return model if isinstance(model, type) else model_class(str(model))
 
 
-def _assembled(work: _Work, reference: int, pairs: Any) -> Stack:
+def _assembled(kind: type[Stack], work: _Work, reference: int, pairs: Any) -> Stack:
     count = len(work.images)
     shape = work.sources[reference].shape
     ordered = [work.found[key] for key in sorted(work.found)]
@@ -271,12 +218,12 @@ def _assembled(work: _Work, reference: int, pairs: Any) -> Stack:
     status = ["ok" if model is not None else "left out" for model in made.models]
     reasons = ["" if model is not None else _why(made.pairs, i) for i, model in enumerate(made.models)]
     provenance = {"options": work.options, "pairs": pairs, "unit_variance": made.unit, "versions": versions()}
-    stack = Stack(
+    stack = kind(
         work.names, reference, shape, made.models, status, reasons, made.standard_errors,
         [closure_of(closed, i) for i in range(count)], closed, [], made.pairs, provenance, work.images,
     )  # fmt: skip
     found = jumps([stack.shift(i) for i in range(count)], np.nan_to_num(made.standard_errors).tolist())
-    return Stack(**{**vars(stack), "jumps": found})
+    return replace(stack, jumps=found)
 
 
 def _why(pairs: Sequence[StackPair], image: int) -> str:

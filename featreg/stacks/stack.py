@@ -166,7 +166,7 @@ class Stack:
         """
         from featreg.stacks.stack_file import read_stack
 
-        return read_stack(Path(path))
+        return read_stack(Path(path), cls)
 
     def __str__(self) -> str:
         return self.explain()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,7 +16,9 @@ from featreg.runtime.files import write_atomic
 from featreg.stacks.closure import Loop
 from featreg.stacks.jumps import Jump
 from featreg.stacks.pairs import StackPair
-from featreg.stacks.stack import Stack
+
+if TYPE_CHECKING:
+    from featreg.stacks.stack import Stack
 
 SCHEMA_VERSION = 1
 
@@ -42,13 +44,13 @@ def write_stack(stack: Stack, path: Path) -> None:
     write_atomic(path, json.dumps(content, indent=1, allow_nan=False).encode())
 
 
-def read_stack(path: Path) -> Stack:
+def read_stack(path: Path, kind: type[Stack]) -> Stack:
     """Read what `write_stack` wrote."""
     try:
         values: dict[str, Any] = json.loads(path.read_bytes())
         if values["kind"] != "stack" or values["schema_version"] != SCHEMA_VERSION:
             raise ValueError(f"its kind and version are {values['kind']!r} and {values['schema_version']!r}")
-        return Stack(
+        return kind(
             [str(name) for name in values["names"]],
             int(values["reference"]),
             (int(values["shape"][0]), int(values["shape"][1])),

@@ -1,0 +1,86 @@
+"""Many images to one stack, as a function."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from featreg.errors import InputError, ParameterError
+from featreg.pipeline.assembly import DEFAULT_METHOD
+from featreg.runtime.executors import check_executor
+from featreg.runtime.parameters import check_seed
+from featreg.runtime.threads import worker_count
+from featreg.runtime.watching import Canceller, Progress, check_watch
+from featreg.stacks.run import registered
+from featreg.stacks.stack import Stack
+
+#: Fewest images of a stack.
+FEWEST = 2
+
+
+def register_stack(
+    images: Sequence[Any],
+    *,
+    reference: int | str = 0,
+    pairs: Any = None,
+    method: Any = DEFAULT_METHOD,
+    model: Any = None,
+    seed: int = 0,
+    executor: Any = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    resume: str | Path | None = None,
+    progress: Progress | None = None,
+    cancel: Canceller | None = None,
+    **keywords: Any,
+) -> Stack:
+    """Register many images of one place to one grid.
+
+    Parameters
+    ----------
+    images : paths, 2-D arrays or `Image`, in the order of time
+    reference : number of the image whose grid is taken, or "auto" for the one that its pairs determine best
+    pairs : which pairs are matched: None for each image with the next two and with the reference, "chain" for each with
+        the next, "all", or K for each with the next K
+    method, model, seed, keywords : as in `featreg.match`, for every pair
+    executor, workers, scheduler : what runs the pairs, or the blocks of each pair where the images are large; never
+        changes the result
+    resume : folder in which finished pairs are kept, and looked for; a longer stack finds those of a shorter one
+    progress : called with (pairs done, pairs in all)
+    cancel : an event; when set, the work stops between pairs with a `CancelledError`
+
+    Returns
+    -------
+    Stack
+        An image that no trusted pair leads to is left out with its reason, the rest goes on.
+
+    Raises
+    ------
+    InputError, ParameterError
+        Too few images, an unreadable one, an impossible parameter.
+    CancelledError
+        `cancel` was set.
+
+    Notes
+    -----
+    All models are adjusted at once (`featreg.stacks.network.adjust`), weighted by what the tie points of each pair
+    say of it; a pair that the others contradict is thrown out and named. `Stack.closure` is measured before that.
+    """
+    given = list(images)
+    if len(given) < FEWEST:
+        raise InputError(f"a stack needs at least {FEWEST} images, got {len(given)}")
+    check_seed(seed)
+    worker_count(workers)
+    check_executor(executor)
+    check_watch(progress, cancel)
+    count = len(given)
+    if reference != "auto" and (isinstance(reference, bool) or not isinstance(reference, int | np.integer)):
+        raise ParameterError(f"reference must be the number of an image or 'auto', got {reference!r}")
+    if reference != "auto" and not 0 <= int(reference) < count:
+        raise ParameterError(f"reference must be a number from 0 to {count - 1}, got {reference}")
+    options = {"method": method, "model": model, "seed": int(seed), **keywords}
+    how = {"executor": executor, "workers": workers, "scheduler": scheduler, "resume": resume, "cancel": cancel}
+    return registered(Stack, given, reference, pairs, options, progress, how)
