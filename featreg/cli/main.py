@@ -29,6 +29,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "compare": ("compare", "compare"),
     "sweep": ("sweep", "sweep"),
     "warp": ("warp", "warp"),
+    "offsets": ("offsets", "offsets"),
+    "stack": ("stack", "stack"),
     "info": ("info", "info"),
     "export": ("export", "export"),
     "focus": ("focus", "focus"),

@@ -90,7 +90,8 @@ class Offsets(ReadOnlyArrays):
     def to_file(self, path: str | Path) -> None:
         """Write a tiled GeoTIFF of the cells, its bands named, with the reference's geolocation.
 
-        Bands: dx, dy, cov_xx, cov_xy, cov_yy, peak, snr, reason, and metres where `metres` knows them.
+        Bands: dx, dy, cov_xx, cov_xy, cov_yy, peak, snr, reason, and metres where `metres` knows them. Where
+        the name ends in .h5, an HDF5 file with the offset layers and attributes that MintPy reads.
 
         Raises
         ------

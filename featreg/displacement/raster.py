@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 #: Side of the tiles in the file, px.
 TILE = 256
+#: Endings of HDF5 files.
+HDF5 = (".h5", ".he5", ".hdf5")
 
 
 def bands_of(field: Offsets) -> dict[str, tuple[FloatArray, str]]:
@@ -44,6 +46,11 @@ def bands_of(field: Offsets) -> dict[str, tuple[FloatArray, str]]:
 
 def write_offsets(field: Offsets, path: Path) -> None:
     """Write a field as the file that its name asks for; see `Offsets.to_file`."""
+    if path.suffix.lower() in HDF5:
+        from featreg.displacement.mintpy import write_mintpy
+
+        write_mintpy(field, path, cell_geolocation(field.reference.geolocation, field.grid))
+        return
     import rasterio
 
     rows, cols = field.grid.cells

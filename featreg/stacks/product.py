@@ -9,7 +9,7 @@ import numpy as np
 
 from featreg.errors import InputError, ParameterError
 from featreg.io import as_image
-from featreg.io.writers import write_geotiff
+from featreg.io.writers import replacing, write_geotiff
 from featreg.products.resample import resample
 
 if TYPE_CHECKING:
@@ -60,3 +60,19 @@ def cube(stack: Stack, resampling: str) -> Any:
         cubed = cubed.rename({"amplitude": "complex_samples"})
     cubed.attrs["reference"] = stack.names[stack.reference]
     return cubed
+
+
+def write_cube(stack: Stack, path: Path, resampling: str) -> None:
+    """Write `Stack.to_file`."""
+    made = cube(stack, resampling)
+    if path.suffix not in (".nc", ".zarr"):
+        raise InputError(f"{path}: the name of a cube must end in .nc or .zarr")
+    try:
+        if path.suffix == ".zarr":
+            made.to_zarr(path, mode="w")
+            return
+        with replacing(path, inputs=stack.names) as temporary:
+            # Complex samples are no type of NetCDF, but one of HDF5.
+            made.to_netcdf(temporary, engine="h5netcdf", invalid_netcdf="complex_samples" in made)
+    except (ImportError, ValueError) as error:
+        raise ParameterError(f"{path}: cannot be written ({error}); pip install h5netcdf or zarr") from error

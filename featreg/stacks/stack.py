@@ -140,6 +140,18 @@ class Stack:
 
         return cube(self, resampling)
 
+    def to_file(self, path: str | Path, *, resampling: str = "lanczos") -> None:
+        """Write `to_xarray` as one NetCDF file, or as a Zarr store where the name ends in .zarr.
+
+        Raises
+        ------
+        InputError, ParameterError
+            The file cannot be written; xarray, or h5netcdf or zarr, is not installed.
+        """
+        from featreg.stacks.product import write_cube
+
+        write_cube(self, Path(path), resampling)
+
     def add(self, image: Any, **keywords: Any) -> Stack:
         """Return the stack with one more date at its end; only the pairs of the new image are matched.
 

@@ -145,3 +145,14 @@ def test_errors_say_what_would_be_right(series: SimulatedSeries) -> None:
         featreg.register_stack(series.images, reference=7)
     with pytest.raises(ParameterError, match="'auto'"):
         featreg.register_stack(series.images, reference="best")
+
+
+def test_a_cube_as_a_file(stack: Stack, tmp_path: Path) -> None:
+    xarray = pytest.importorskip("xarray")
+    pytest.importorskip("h5netcdf")
+    stack.to_file(tmp_path / "cube.nc")
+    with xarray.open_dataset(tmp_path / "cube.nc", engine="h5netcdf") as cube:
+        assert cube["amplitude"].shape == (4, 260, 260)
+        assert np.allclose(cube["dx"].values, stack.to_dataframe()["dx"].dropna())
+    with pytest.raises(InputError, match="must end in"):
+        stack.to_file(tmp_path / "cube.tif")

@@ -1,0 +1,156 @@
+"""`featreg stack`: many images on one grid."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from featreg.cli.option_sets import takes
+from featreg.cli.options import (
+    MethodOptions,
+    announce_compiling,
+    check_folder,
+    counter,
+    parse_settings,
+    whole_number,
+)
+from featreg.errors import InputError, ParameterError
+from featreg.pipeline.keywords import KEYWORDS
+from featreg.runtime.threads import limited_threads
+
+
+def pairs_of(text: Any) -> Any:
+    """Read "all", "chain" or a whole number."""
+    if text in ("all", "chain"):
+        return text
+    try:
+        return whole_number(1)(text)
+    except typer.BadParameter:
+        raise typer.BadParameter(f"all, chain or a whole number >= 1 is needed, got '{text}'") from None
+
+
+@takes
+def stack(
+    images: Annotated[
+        list[str], typer.Argument(metavar="IMAGE...", help="Images in the order of time.", show_default=False)
+    ],
+    output: Annotated[
+        str,
+        typer.Option(
+            "--output", "-o", metavar="DIR", help="Folder for stack.json, stack.csv and stack.png.", show_default=False
+        ),
+    ],
+    reference: Annotated[
+        str,
+        typer.Option(
+            "--reference",
+            metavar="auto|FILE",
+            help="The image whose grid is taken; auto: the one that its pairs determine best.",
+            show_default="the first image",
+        ),
+    ] = "",
+    pairs: Annotated[
+        Any,
+        typer.Option(
+            "--pairs",
+            parser=pairs_of,
+            metavar="all|chain|K",
+            help="Pairs that are matched; K: each image with the next K.",
+            show_default="with the next two and the reference",
+        ),
+    ] = None,
+    method: Annotated[str, typer.Option("--method", metavar="NAME", help="One of `featreg list method`.")] = "sar-orb",
+    *,
+    common: MethodOptions,
+    add: Annotated[
+        bool,
+        typer.Option("--add", help="Add the images to the stack that DIR holds, with its reference and its options."),
+    ] = False,
+    warp: Annotated[bool, typer.Option("--warp", help="Also write all images on the grid of the reference.")] = False,
+    cube: Annotated[
+        str | None,
+        typer.Option("--cube", metavar="FILE.nc", help="Also write them as one NetCDF cube.", show_default=False),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            "--scheduler", metavar="ADDRESS", help="Run on the dask cluster of this scheduler.", show_default=False
+        ),
+    ] = None,
+    resume: Annotated[
+        str | None,
+        typer.Option(
+            "--resume", metavar="DIR", help="Folder in which finished pairs are kept.", show_default="DIR/pairs"
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            "--workers", parser=whole_number(1), metavar="N", help="Worker processes.", show_default="every processor"
+        ),
+    ] = None,
+) -> None:
+    """Register many images of one place to one grid.
+
+    Matches a graph of pairs, adjusts all models together, throws out pairs that the others contradict, and says where
+    the position jumps over time. Exit code 3 means that an image had to be left out.
+    """
+    folder = Path(output)
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"--output '{output}' is a file, a folder is needed")
+    check_folder(folder if folder.is_dir() else folder.parent, f"--output '{output}'")
+    if scheduler is not None and workers is not None:
+        raise ParameterError("--scheduler brings its own workers: leave --workers out")
+    if add and (reference or pairs is not None):
+        raise ParameterError("--add keeps the reference and the pairs of the stack: leave --reference and --pairs out")
+    settings = parse_settings(common.settings, (keyword.name for keyword in KEYWORDS if keyword.option))
+    given = {k: v for k, v in {**common.keywords(), **settings}.items() if v is not None}
+    announce_compiling()
+    with limited_threads(workers, 1):
+        from featreg.pictures.stack import draw_stack
+        from featreg.stacks.registering import register_stack
+        from featreg.stacks.stack import Stack
+
+        folder.mkdir(exist_ok=True)
+        how: dict[str, Any] = {
+            "workers": workers,
+            "scheduler": scheduler,
+            "resume": folder / "pairs" if resume is None else resume,
+            "progress": counter("pairs"),
+        }
+        if add:
+            made = Stack.from_json(folder / "stack.json")
+            for image in images:
+                made = made.add(image, **how)
+        else:
+            made = register_stack(
+                images,
+                reference=_number(reference, images),
+                pairs=pairs,
+                method=method,
+                seed=common.seed,
+                **given,
+                **how,
+            )
+        made.to_json(folder / "stack.json")
+        made.to_dataframe().to_csv(folder / "stack.csv", index=False)
+        draw_stack(made, folder / "stack.png")
+        if warp:
+            made.warp(folder / "aligned")
+        if cube is not None:
+            made.to_file(cube)
+    typer.echo(made.explain())
+    raise typer.Exit(0 if all(status == "ok" for status in made.status) else 3)
+
+
+def _number(reference: str, images: list[str]) -> int | str:
+    if reference in ("", "auto"):
+        return reference or 0
+    for number, image in enumerate(images):
+        if image == reference or (
+            Path(image).exists() and Path(reference).exists() and Path(image).samefile(reference)
+        ):
+            return number
+    raise ParameterError(f"--reference '{reference}' is none of the images; give one of them, or auto")
