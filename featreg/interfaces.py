@@ -117,6 +117,21 @@ class Matcher(Plugin):
     def match(self, reference: Image, secondary: Image) -> Matches:
         """Return putative tie points; empty where there are none."""
 
+    def match_near(self, reference: Image, secondary: Image, initial: Model, radius: float) -> Matches:
+        """As `match`, of images of which it is known that `initial` aligns them to within a radius.
+
+        Parameters
+        ----------
+        reference, secondary : the images
+        initial : a model reference -> secondary
+        radius : how far from it a point may lie, px of the secondary
+
+        Notes
+        -----
+        For matchers that search: they need not look elsewhere. Whoever calls it drops tie points beyond the radius.
+        """
+        return self.match(reference, secondary)
+
     @property
     def reach(self) -> float:
         """How far from a tie point pixels may lie that decide on it, px; blocks of a scene are read so much larger."""

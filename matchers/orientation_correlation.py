@@ -6,34 +6,38 @@ import logging
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Interval, Lt
 
+from featreg.errors import ParameterError
 from featreg.geometry import Affine, Similarity
 from featreg.geometry.robust import irls
-from featreg.interfaces import FailedFit, Matcher
+from featreg.interfaces import FailedFit, Matcher, Model
 from featreg.registry import register
 from featreg.runtime.parameters import Count, Positive, Share
 from featreg.runtime.timing import stage
 from featreg.sar.correlation import Peaks, peaks
 from featreg.sar.orientation.levels import Level, aligned
-from featreg.sar.orientation.search import Alignment, Grid, scale_steps, search
-from featreg.sar.orientation.verification import Verified, verified
+from featreg.sar.orientation.search import Alignment, Correlator, Grid, scale_steps, search
+from featreg.sar.orientation.verification import DECIDED, Verified, near, verified
 from featreg.sar.orientation.windows import Surfaces, correlated
 from featreg.types import BoolArray, FloatArray, Image, Matches
 
 logger = logging.getLogger(__name__)
 
-#: Samples along the longer side of the first fine level; each further one has twice as many.
-FINE_SIDE = 256
+#: So many ratios of the scales nearest to 1 are tried first; an alignment stands out whose score is so many times that
+#: of the next.
+SIMILAR, OUTSTANDING = 3, 1.4
+#: Samples along the longer side of the first fine level; each further one has at most so many times as many.
+FINE_SIDE, FINER = 256, 4
 #: Windows that determine an affine correction of the alignment, and a similarity.
 LEAST_AFFINE, LEAST_SIMILAR = 24, 6
 #: Errors of windows below this are not told apart, samples.
 SCALE = 0.3
-#: Samples of a field whose correlation tells one independent one, as measured on simulated pairs.
-CORRELATED = 12.0
+#: An independent sample of a field for so many alpha^2 samples, as the errors on simulated pairs have it.
+CORRELATED = 3.5
 
 
 @register("orientation-correlation")
@@ -43,7 +47,6 @@ class OrientationCorrelation(Matcher):
 
     Parameters
     ----------
-    n_features : at most about so many windows
     largest : ratios of the scales (secondary over reference) from 1 / `largest` to `largest` are sought
     scale_step : largest factor between neighbouring ratios
     rotation_step : largest angle in degrees between neighbouring rotations, of all 360
@@ -54,7 +57,11 @@ class OrientationCorrelation(Matcher):
     ambiguity : no tie point is returned where another alignment has more than this share of the best one's logarithm
     alpha : of the gradients whose field gives the tie points, px
     window : side of a window, px
+    overlapping : share of a window's side that neighbours have in common, at most
+    most : about so many windows at most
     search : largest displacement of a window between one level and the next, px
+    backend : what the global search runs on, "torch" by the extra of that name
+    device : of torch: "cpu", "cuda", "auto", ...; None for "auto"
 
     Raises
     ------
@@ -79,18 +86,21 @@ class OrientationCorrelation(Matcher):
     10.1109/36.673672
     """
 
-    n_features: Count = 5000
     largest: Annotated[float, Interval(ge=1, le=16)] = 2.0
     scale_step: Annotated[float, Interval(gt=1, le=2)] = 1.15
     rotation_step: Annotated[float, Interval(gt=0, le=30)] = 7.5
     side: Annotated[int, Interval(ge=16, le=256)] = 48
     least_overlap: Share = 0.15
     candidates: Count = 6
-    chance: Annotated[float, Lt(0)] = -6.5
+    chance: Annotated[float, Lt(0)] = -6.2
     ambiguity: Share = 0.7
-    alpha: Positive = 2.0
-    window: Annotated[int, Ge(8)] = 32
-    search: Count = 4
+    alpha: Positive = 0.8
+    window: Annotated[int, Ge(8)] = 48
+    overlapping: Annotated[float, Interval(ge=0, le=0.9)] = 0.5
+    most: Count = 256
+    search: Count = 6
+    backend: Literal["numpy", "torch"] = "numpy"
+    device: str | None = None
 
     @property
     def reach(self) -> float:
@@ -99,15 +109,51 @@ class OrientationCorrelation(Matcher):
 
     def match(self, reference: Image, secondary: Image) -> Matches:
         """Return one tie point per window; empty where no alignment is more than chance, or where two are."""
-        grid = Grid(self.side, self.rotation_step, scale_steps(self.largest, self.scale_step), self.least_overlap)
-        with stage("search"):
-            starts = search(reference, secondary, grid, self.candidates)
-        with stage("verify"):
-            best = self._best(verified(reference, secondary, starts))
+        scales = scale_steps(self.largest, self.scale_step)
+        # Most images have about the same scale: where an alignment of these stands out and is decided, it is the one.
+        judged = self._search(reference, secondary, scales[:SIMILAR], OUTSTANDING)
+        if not judged or judged[0].answer > DECIDED:
+            judged = self._search(reference, secondary, scales, 0.0)
+        best = self._best(judged)
         if best is None:
             return Matches.empty()
         with stage("windows"):
             return self._tie_points(reference, secondary, best)
+
+    def match_near(self, reference: Image, secondary: Image, initial: Model, radius: float) -> Matches:
+        """As `match`, of images that `initial` aligns to within a radius in pixels of the secondary."""
+        affine = _linearised(initial, reference.shape)
+        with stage("verify"):
+            known = None if affine is None else near(reference, secondary, affine, radius)
+        if known is None:
+            return self.match(reference, secondary)
+        best = self._best([known])
+        if best is None:
+            return Matches.empty()
+        with stage("windows"):
+            # What is known of the shape of the map needs no coarse level.
+            return self._tie_points(reference, secondary, best, FINER * FINE_SIDE)
+
+    def _search(
+        self, reference: Image, secondary: Image, scales: Sequence[float], outstanding: float
+    ) -> list[Verified]:
+        """Verified alignments at some ratios of the scales; none where the best is not better by a factor."""
+        grid = Grid(self.side, self.rotation_step, scales, self.least_overlap)
+        with stage("search"):
+            starts = search(reference, secondary, grid, self.candidates, self._correlator())
+        if not starts or (len(starts) > 1 and starts[0].score < outstanding * starts[1].score):
+            return []
+        with stage("verify"):
+            return verified(reference, secondary, starts)
+
+    def _correlator(self) -> Correlator | None:
+        if self.backend == "numpy":
+            if self.device is not None:
+                raise ParameterError(f"device {self.device!r} needs backend='torch'")
+            return None
+        from featreg.interop.torch_orientation import TorchCorrelator
+
+        return TorchCorrelator(self.device or "auto")
 
     def _best(self, judged: Sequence[Verified]) -> Alignment | None:
         """The alignment for which windows speak most, None where that is chance or another has as much."""
@@ -123,11 +169,13 @@ class OrientationCorrelation(Matcher):
             return None
         return judged[0].alignment
 
-    def _tie_points(self, reference: Image, secondary: Image, alignment: Alignment) -> Matches:
+    def _tie_points(
+        self, reference: Image, secondary: Image, alignment: Alignment, first: float = FINE_SIDE
+    ) -> Matches:
         """Follow an alignment to full resolution; the windows of the finest level are the tie points."""
         affine = alignment.affine
         finest = max(reference.shape) * min(1.0, alignment.scale)
-        samples = min(float(FINE_SIDE), finest)
+        samples = min(first, finest)
         while True:
             level = aligned(reference, secondary, affine, samples, self.alpha)
             found = correlated(level, self.window, self.search, self._step(level))
@@ -135,11 +183,12 @@ class OrientationCorrelation(Matcher):
             if samples >= finest:
                 return self._matches(level, found, seen)
             affine = _corrected(level, found, seen)
-            samples = min(2 * samples, finest)
+            samples = min(FINER * samples, finest)
 
     def _step(self, level: Level) -> int:
-        """Distance of neighbouring windows, so that they touch at most, and fewer than the budget fit."""
-        return max(self.window, math.ceil(math.sqrt(level.valid.size / self.n_features)))
+        """Distance of neighbouring windows, samples."""
+        least = max(1, round((1 - self.overlapping) * self.window))
+        return max(least, math.ceil(math.sqrt(level.valid.size / self.most)))
 
     def _matches(self, level: Level, found: Surfaces, seen: Peaks) -> Matches:
         good = np.flatnonzero(seen.sound & (seen.height > 0))
@@ -147,7 +196,9 @@ class OrientationCorrelation(Matcher):
         here = level.reference_xy(found.xy[good])
         there = level.secondary_xy(found.xy[good] + seen.shift[good])
         covariance = np.linalg.inv(seen.curvature[good])
-        covariance *= (np.maximum(1 - height**2, 1e-6) * CORRELATED / (height * found.samples[good]))[:, None, None]
+        covariance *= (np.maximum(1 - height**2, 1e-6) * CORRELATED * self.alpha**2 / (height * found.samples[good]))[
+            :, None, None
+        ]
         onto = level.affine[:, :2] / level.factor
         return Matches(here, there, height, onto @ covariance @ onto.T)
 
@@ -163,3 +214,13 @@ def _corrected(level: Level, found: Surfaces, seen: Peaks) -> FloatArray:
         if not isinstance(model, FailedFit) and np.count_nonzero(weights) >= least and model.matrix is not None:
             return level.moved(model.matrix[:2])
     return level.affine
+
+
+def _linearised(model: Model, shape: tuple[int, int]) -> FloatArray | None:
+    """The (2, 3) affine map nearest to a model over an image of (H, W); None where it is not known well enough."""
+    x, y = np.meshgrid(*(np.linspace(0, n - 1, 5) for n in shape[::-1]))
+    lattice = np.column_stack([x.ravel(), y.ravel()])
+    there = model(lattice)
+    good = np.isfinite(there).all(axis=1)
+    affine = Affine.from_estimate(lattice[good], there[good])
+    return None if isinstance(affine, FailedFit) else affine.matrix[:2]

@@ -141,7 +141,11 @@ class Pipeline:
         with collecting() as timings:
             with stage("read"):
                 reference, secondary = bridged(reference), bridged(secondary)
-            matches = on_samples(matcher.match(reference, secondary), reference, secondary)
+            if initial is None or search_radius is None:
+                matches = matcher.match(reference, secondary)
+            else:
+                matches = matcher.match_near(reference, secondary, initial, search_radius)
+            matches = on_samples(matches, reference, secondary)
             steps.advance()
             with stage("identical"):
                 identical = identical_pixels(*given)

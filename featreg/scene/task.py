@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -141,7 +142,12 @@ def _matched(job: Job, prior: Prior, block: Block) -> BlockResult:
     if frame is not None:
         with stage("prior"):
             secondary = frame.resampled(secondary)
-    found = on_samples(job.matcher.match(reference, secondary), reference, secondary)
+    expected = _linear_prior(prior, here, there, frame)
+    if expected is None:
+        found = job.matcher.match(reference, secondary)
+    else:
+        found = job.matcher.match_near(reference, secondary, expected, math.sqrt(2) * prior.uncertainty_px)
+    found = on_samples(found, reference, secondary)
     own = found if frame is None else frame.back(found)
     rng = np.random.default_rng([job.seed, block.index])
     known = None if job.initial is None else WindowModel(job.initial, here, there)
@@ -250,16 +256,22 @@ def _local_model(prior: Prior, here: Window, there: Window, frame: Frame | None,
         own, _ = irls(Affine, kept.reference_xy, kept.secondary_xy, scale_px=SCALE_PX, iterations=ROUNDS)
         if not isinstance(own, FailedFit):
             return own
+    linear = _linear_prior(prior, here, there, frame)
+    if linear is None:
+        return None
+    off = np.median(kept.secondary_xy - linear(kept.reference_xy), axis=0)
+    return Affine(linear.coefficients + np.column_stack([np.zeros((2, 2)), off]))
+
+
+def _linear_prior(prior: Prior, here: Window, there: Window, frame: Frame | None) -> Affine | None:
+    """What the prior says of a block, as an affine map in the pixels of its window and of the frame or other window."""
     x, y = np.meshgrid(np.linspace(0, here.width - 1, 5), np.linspace(0, here.height - 1, 5))
     lattice = np.column_stack([x.ravel(), y.ravel()])
     mapped = prior(lattice + here.origin) - there.origin
     mapped = mapped if frame is None else frame.from_secondary(mapped)
     good = np.isfinite(mapped).all(axis=1)
     linear = Affine.from_estimate(lattice[good], mapped[good])
-    if isinstance(linear, FailedFit):
-        return None
-    off = np.median(kept.secondary_xy - linear(kept.reference_xy), axis=0)
-    return Affine(linear.coefficients + np.column_stack([np.zeros((2, 2)), off]))
+    return None if isinstance(linear, FailedFit) else linear
 
 
 def _moved(matches: Matches, here: Window, there: Window, origin: IntArray | None = None) -> Matches:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 import featreg
 from featreg import registry
+from featreg.geometry import Affine
 from featreg.interfaces import FailedFit
 from featreg.io import as_image
 from featreg.simulate import SimulatedPair, sar_pair
@@ -90,3 +91,28 @@ def test_equal_input_gives_equal_bits_and_nothing_gives_nothing() -> None:
     assert len(matcher.match(flat, flat)) == 0
     tiny = Image(np.ones((5, 7), np.float32), np.ones((5, 7), np.bool_))
     assert len(matcher.match(tiny, as_image(pair.secondary))) == 0
+
+
+def test_a_known_model_is_followed_without_a_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    import featreg.matchers.orientation_correlation as module
+
+    pair = sar_pair(SHAPE, looks=1, rotation_deg=-75, scale=1.3, shift=(20, 5), seed=12)
+    known = Affine(pair.truth + np.array([[0, 0, 6.0], [0, 0, -5.0]]))
+    with monkeypatch.context() as patch:
+        patch.setattr(module, "search", lambda *given: pytest.fail("searched"))
+        reg = featreg.match(
+            pair.reference, pair.secondary, method="sar-dense", model="affine", initial=known, search_radius=10,
+            seed=0, nodata=0,
+        )  # fmt: skip
+    assert reg.status == "ok", reg.reason
+    assert grid_error(reg, pair) < 0.3
+
+
+def test_a_radius_as_large_as_the_image_is_searched() -> None:
+    pair = sar_pair((200, 200), looks=4, rotation_deg=130, scale=1, shift=(0, 0), seed=1)
+    matcher = registry.create("matcher", "orientation-correlation")
+    images = as_image(pair.reference), as_image(pair.secondary)
+    same = Affine(np.array([[1.0, 0, 0], [0, 1, 0]]))
+    near, searched = matcher.match_near(*images, same, 150.0), matcher.match(*images)
+    assert len(near) > 12
+    assert np.array_equal(near.secondary_xy, searched.secondary_xy)

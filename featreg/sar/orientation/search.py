@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -77,8 +77,47 @@ def scale_steps(largest: float, step: float) -> tuple[float, ...]:
     return tuple(largest ** (i / half) for i in sorted(range(-half, half + 1), key=abs)) if half else (1.0,)
 
 
-def search(reference: Image, secondary: Image, grid: Grid, most: int) -> list[Alignment]:
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """Two fields at one ground pixel size.
+
+    Parameters
+    ----------
+    canvas : (n, n, 2) float32 the first one, in the middle of zeros
+    second : (h, w, 2) float32
+    origin : (x, y) of the first one in the canvas
+    factor : its samples per pixel of the base image
+    least : correlation of the squared fields at which a shift counts
+    """
+
+    canvas: F32
+    second: F32
+    origin: tuple[int, int]
+    factor: float
+    least: float
+
+    def into(self, degrees: float) -> FloatArray:
+        """(2, 3) map from the canvas to the second field turned about the middle of both."""
+        angle, middle = math.radians(degrees), np.array([self.second.shape[1] - 1, self.second.shape[0] - 1]) / 2
+        linear = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+        return np.column_stack([linear, middle - linear @ np.full(2, len(self.canvas) / 2)])
+
+
+#: What correlates two prepared fields at all rotations; see `by_spectra`.
+Correlator = Callable[[Prepared, int], FloatArray]
+
+
+def search(
+    reference: Image, secondary: Image, grid: Grid, most: int, correlator: Correlator | None = None
+) -> list[Alignment]:
     """Return the `most` best alignments that differ from each other, best first.
+
+    Parameters
+    ----------
+    reference, secondary : the images
+    grid : what is tried
+    most : alignments
+    correlator : what correlates the fields, None for `by_spectra`; `featreg.interop.torch_orientation` has another
 
     Notes
     -----
@@ -92,14 +131,25 @@ def search(reference: Image, secondary: Image, grid: Grid, most: int) -> list[Al
     fields = orientation_field(first, ALPHA), orientation_field(second, ALPHA)
     ratio = first.shape[1] / reference.shape[1] / (second.shape[1] / secondary.shape[1])
     found: list[tuple[float, float, float, tuple[float, float]]] = []
+    rotations = math.ceil(90 / grid.rotation_step - 1e-9)
     for scale in grid.scales:
-        found.extend(_at_scale(first, second, fields, scale / ratio, grid))
+        prepared = _prepared(first, second, fields, scale / ratio, grid)
+        if prepared is None:
+            continue
+        n = len(prepared.canvas)
+        for row, (score, y, x) in enumerate((correlator or by_spectra)(prepared, rotations).tolist()):
+            shift = ((x + n // 2) % n - n // 2, (y + n // 2) % n - n // 2)
+            middle = [
+                (n / 2 + d - o + 0.5) / prepared.factor - 0.5 for d, o in zip(shift, prepared.origin, strict=True)
+            ]
+            degrees = row // 4 * 90 / rotations + 90 * (row // 2 % 2) + 180 * (row % 2)
+            found.append((score, degrees, scale, (middle[0], middle[1])))
     found.sort(key=lambda entry: -entry[0])
     kept: list[Alignment] = []
     for score, degrees, size, here in found:
         if not score > 0 or len(kept) == most:
             break
-        one = Alignment(_affine(reference, secondary, first, degrees, size * ratio, here), score)
+        one = Alignment(_affine(reference, secondary, first, degrees, size, here), score)
         if not any(one.alike(other, reference.shape) for other in kept):
             kept.append(one)
     return kept
@@ -122,51 +172,46 @@ def _affine(
     return np.column_stack([linear, centre - linear @ at])
 
 
-def _at_scale(
-    first: Image, second: Image, fields: tuple[F32, F32], scale: float, grid: Grid
-) -> Iterator[tuple[float, float, float, tuple[float, float]]]:
-    """Yield (score, degrees, scale, point of the first image at the second's centre) of every rotation."""
+def _prepared(first: Image, second: Image, fields: tuple[F32, F32], scale: float, grid: Grid) -> Prepared | None:
+    """Both fields at one ratio of the scales, None where too little is left of one."""
+    n = 2 * grid.side
+    factor = min(grid.side / max(first.shape), grid.side * scale / max(second.shape), 1.0, scale)
+    a, b = _averaged(fields[0], factor), _averaged(fields[1], factor / scale)
+    areas = [float(image.mask.mean()) * field[..., 0].size for image, field in ((first, a), (second, b))]
+    power = float(np.square(a).sum(dtype=np.float64)) * float(np.square(b).sum(dtype=np.float64))
+    if not power > 0 or min(*a.shape[:2], *b.shape[:2]) < 4:
+        return None
+    canvas = np.zeros((n, n, 2), np.float32)
+    top, left = (n - a.shape[0]) // 2, (n - a.shape[1]) // 2
+    canvas[top : top + a.shape[0], left : left + a.shape[1]] = a
+    return Prepared(canvas, b, (left, top), factor, grid.least_overlap * min(areas) * power / (areas[0] * areas[1]))
+
+
+def by_spectra(prepared: Prepared, rotations: int) -> FloatArray:
+    """Return (score, row, column) of the highest correlation at each of 4 `rotations`, (4 * rotations, 3) float64.
+
+    Row 4 i + 2 q + h is for i * 90 / `rotations` degrees, a quarter turn where q is 1 and half a turn where h is 1.
+    """
     import cv2
 
     from featreg.sar.orientation import orientation_kernels as kernels
 
-    n = 2 * grid.side
-    factor = min(grid.side / max(first.shape), grid.side * scale / max(second.shape), 1.0, scale)
-    a, b = _averaged(fields[0], factor), _averaged(fields[1], factor / scale)
-    area_a, area_b = first.mask.mean() * a[..., 0].size, second.mask.mean() * b[..., 0].size
-    if not area_a or not area_b or min(*a.shape[:2], *b.shape[:2]) < 4:
-        return
-    canvas = np.zeros((n, n, 2), np.float32)
-    top, left = (n - a.shape[0]) // 2, (n - a.shape[1]) // 2
-    canvas[top : top + a.shape[0], left : left + a.shape[1]] = a
-    real, imaginary = _parts(_spectrum(canvas))
-    power = _power(canvas)
-    power_spectrum, nothing = _spectrum(_with_zero(power)), np.zeros((n // 2, n // 2), np.complex64)
-    density = float(power.sum()) / area_a * float(np.square(b).sum(dtype=np.float64)) / area_b
-    if not density > 0:
-        return
-    least = np.float32(grid.least_overlap * min(area_a, area_b) * density)
-    middle = np.array([b.shape[1] - 1, b.shape[0] - 1]) / 2
+    n = len(prepared.canvas)
+    real, imaginary = _parts(_spectrum(prepared.canvas))
+    power, nothing = _spectrum(_power(prepared.canvas)), np.zeros((n // 2, n // 2), np.complex64)
     product, products = np.empty((n, n), np.complex64), np.empty((n // 2, n // 2), np.complex64)
-    best = np.empty((2, 3))
-    rotations = math.ceil(90 / grid.rotation_step - 1e-9)
+    out = np.empty((rotations, 2, 2, 3))
     for i in range(rotations):
-        degrees = i * 90 / rotations
-        angle = math.radians(degrees)
-        linear = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
-        into = np.column_stack([linear, middle - linear @ [n / 2, n / 2]])
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        there = np.asarray(cv2.warpAffine(turned(b, degrees), into, (n, n), flags=flags), np.float32)
-        spectrum, powers = _spectrum(there), _spectrum(_with_zero(_power(there)))
-        for quarter in (False, True):
-            kernels.cross_spectra(real, imaginary, spectrum, quarter, np.float32(-1 if quarter else 1), product)
-            kernels.cross_spectra(power_spectrum, nothing, powers, quarter, np.float32(1), products)
-            kernels.highest(_inverse(product), _inverse(products), least, best)
-            for half in (0, 1):
-                score, row, column = best[half].tolist()
-                shift = ((column + n // 2) % n - n // 2, (row + n // 2) % n - n // 2)
-                at = tuple((n / 2 + d - o + 0.5) / factor - 0.5 for d, o in zip(shift, (left, top), strict=True))
-                yield score, degrees + 90 * quarter + 180 * half, scale, (at[0], at[1])
+        degrees = i * 90 / rotations
+        field = cv2.warpAffine(turned(prepared.second, degrees), prepared.into(degrees), (n, n), flags=flags)
+        there = np.asarray(field, np.float32)
+        spectrum, powers = _spectrum(there), _spectrum(_power(there))
+        for quarter in (0, 1):
+            kernels.cross_spectra(real, imaginary, spectrum, bool(quarter), np.float32(1 - 2 * quarter), product)
+            kernels.cross_spectra(power, nothing, powers, bool(quarter), np.float32(1), products)
+            kernels.highest(_inverse(product), _inverse(products), np.float32(prepared.least), out[i, quarter])
+    return out.reshape(-1, 3)
 
 
 def _averaged(field: F32, factor: float) -> F32:
@@ -178,17 +223,13 @@ def _averaged(field: F32, factor: float) -> F32:
 
 
 def _power(field: F32) -> F32:
-    """The squared length of a field (n, n, 2), summed over 2 x 2 samples."""
+    """The squared length of a field (n, n, 2), summed over 2 x 2 samples, as complex values (n / 2, n / 2, 2)."""
     import cv2
 
-    square = field[..., 0] ** 2 + field[..., 1] ** 2
-    size = (field.shape[1] // 2, field.shape[0] // 2)
-    return np.asarray(4 * cv2.resize(square, size, interpolation=cv2.INTER_AREA), np.float32)
-
-
-def _with_zero(values: F32) -> F32:
-    """Real values as complex ones, (n, n, 2)."""
-    return np.stack([values, np.zeros_like(values)], axis=-1)
+    square = np.square(field).sum(axis=2)
+    out = np.zeros((field.shape[0] // 2, field.shape[1] // 2, 2), np.float32)
+    out[..., 0] = 4 * cv2.resize(square, out.shape[1::-1], interpolation=cv2.INTER_AREA)
+    return out
 
 
 def _spectrum(values: F32) -> C64:

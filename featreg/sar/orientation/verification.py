@@ -12,15 +12,21 @@ from featreg.sar.orientation.windows import correlated, log10_chance, together
 from featreg.types import FloatArray, Image
 
 #: Of the ROEWA gradients, in samples of a level.
-ALPHA = 2.0
+ALPHA = 1.2
 #: Fewest windows that say anything of an alignment.
 LEAST_WINDOWS = 4
-#: Where the first question gets no better answer than this, the others are not asked.
-HOPELESS = -2.5
+#: Where the first question gets no better answer than this, the others are not asked; nor where another alignment is
+#: decided, which has an answer below the second, and the first round or question gets no better one than half of that.
+HOPELESS, DECIDED = -2.5, -12.0
+#: Most windows of a level.
+MOST_WINDOWS = 64
 #: Alignments whose corners lie this near to each other after the first round, as a share of the diagonal, are one.
 SAME = 0.03
 #: Every further start that ends at an alignment, at most three, counts as so many powers of ten.
 MEETING, MOST_MEETINGS = 0.9, 3
+#: Near a known alignment: samples along the longer side at most and at least, the largest displacement in samples that
+#: is allowed for, and by how many more windows are correlated, so that a rank says something.
+MOST_SAMPLES, LEAST_SAMPLES, NEAR_REACH, NEAR_MARGIN = 256, 128, 12, 6
 
 
 @dataclass(frozen=True)
@@ -83,14 +89,25 @@ def verified(reference: Image, secondary: Image, starts: Sequence[Alignment]) ->
     Starts that end at the same alignment are one.
     """
     groups: list[Verified] = []
+    judged: list[Verified] = []
     for start in starts:
         first = _refined(reference, secondary, start, ROUNDS[0])
-        if first is not None:
-            _join(groups, Verified(first), first.score, reference.shape, SAME)
-    judged: list[Verified] = []
-    for one in sorted((_judged(reference, secondary, group) for group in groups), key=lambda one: one.answer):
-        _join(judged, one, -math.inf, reference.shape, NEAR)
-    return sorted(judged, key=lambda one: one.log10_chance)
+        if first is None:
+            continue
+        _join(groups, first, first.alignment.score, reference.shape, SAME)
+        if not judged:
+            judged.append(_judged(reference, secondary, first, HOPELESS))
+    decided = bool(judged) and judged[0].answer <= DECIDED
+    hopeless = min(HOPELESS, judged[0].answer / 2) if decided else HOPELESS
+    if not decided:
+        judged = []
+    for group in groups:
+        # What the first round says is enough of those that cannot compete with one that is decided.
+        judged.append(group if decided and group.answer > hopeless else _judged(reference, secondary, group, hopeless))
+    distinct: list[Verified] = []
+    for one in sorted(judged, key=lambda one: one.answer):
+        _join(distinct, one, -math.inf, reference.shape, NEAR)
+    return sorted(distinct, key=lambda one: one.log10_chance)
 
 
 def _join(groups: list[Verified], one: Verified, score: float, shape: tuple[int, int], near: float) -> None:
@@ -103,31 +120,52 @@ def _join(groups: list[Verified], one: Verified, score: float, shape: tuple[int,
     groups.append(one)
 
 
-def _judged(reference: Image, secondary: Image, group: Verified) -> Verified:
-    alignment: Alignment | None = group.alignment
+def _judged(reference: Image, secondary: Image, group: Verified, hopeless: float) -> Verified:
+    found: Verified | None = group
     for one in ROUNDS[1:]:
-        if alignment is not None:
-            alignment = _refined(reference, secondary, alignment, one)
-    if alignment is None:
-        return group
+        found = None if found is None else _refined(reference, secondary, found.alignment, one)
+    if found is None:
+        return replace(group, answer=0.0)
     answers: list[float] = []
     for question in QUESTIONS:
-        answers.append(_answer(reference, secondary, alignment.affine, question))
-        if answers[0] > HOPELESS:
+        answers.append(_answer(reference, secondary, found.alignment.affine, question))
+        if answers[0] > hopeless:
             break
-    return replace(group, alignment=alignment, answer=sum(answers) / len(answers))
+    return replace(group, alignment=found.alignment, answer=sum(answers) / len(answers))
 
 
-def _refined(reference: Image, secondary: Image, start: Alignment, one: Round) -> Alignment | None:
-    """The alignment after a round; None where too little of the images overlaps."""
+def _refined(reference: Image, secondary: Image, start: Alignment, one: Round) -> Verified | None:
+    """The alignment after a round and what its windows said in it; None where too little of the images overlaps."""
     level = aligned(reference, secondary, start.affine, one.samples, ALPHA)
-    found = correlated(level, one.side, one.reach)
+    found = correlated(level, one.side, one.reach, most=MOST_WINDOWS)
     if len(found) < LEAST_WINDOWS:
         return None
     score, within = together(found, one.rotation_deg, one.zoom, one.steps)
-    return Alignment(level.moved(within), score)
+    return Verified(Alignment(level.moved(within), score), log10_chance(found, 1, within))
 
 
 def _answer(reference: Image, secondary: Image, affine: FloatArray, question: Question) -> float:
     level = aligned(reference, secondary, affine, question.samples, ALPHA)
-    return log10_chance(correlated(level, question.side, question.reach), question.tolerance)
+    found = correlated(level, question.side, question.reach, most=MOST_WINDOWS)
+    return log10_chance(found, question.tolerance)
+
+
+def near(reference: Image, secondary: Image, affine: FloatArray, radius: float) -> Verified | None:
+    """As `verified`, of two images that an affine map (2, 3) aligns to within a radius in pixels of the secondary.
+
+    None where the radius is too large a part of the image for windows, so that it has to be searched.
+    """
+    scale = Alignment(affine, 0.0).scale
+    longer = max(reference.shape)
+    samples = min(MOST_SAMPLES, longer, longer * scale, NEAR_REACH * scale * longer / radius)
+    if samples < LEAST_SAMPLES:
+        return None
+    reach = max(3, math.ceil(radius / scale * samples / longer) + 1)
+    # Two ends of the image that are off by the radius against each other.
+    turn = min(2 * radius / scale / longer, 0.1)
+    level = aligned(reference, secondary, affine, round(samples), ALPHA)
+    found = correlated(level, 32, reach + NEAR_MARGIN, most=MOST_WINDOWS)
+    if len(found) < LEAST_WINDOWS:
+        return None
+    score, within = together(found, math.degrees(turn), turn, 5)
+    return Verified(Alignment(level.moved(within), score), log10_chance(found, 1, within))

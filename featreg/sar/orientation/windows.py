@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from featreg.sar.orientation.levels import Level
@@ -17,6 +18,8 @@ F32 = NDArray[np.float32]
 LEAST_VALID = 0.5
 #: Correlations are related to the energy at their shift, at least to this share of the largest.
 LEAST_ENERGY = 0.3
+#: Windows that are transformed at once, so that they stay in the cache.
+BATCH = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +47,7 @@ class Surfaces:
         return int(self.values.shape[1]) // 2
 
 
-def correlated(level: Level, side: int, reach: int, step: int | None = None) -> Surfaces:
+def correlated(level: Level, side: int, reach: int, step: int | None = None, most: int | None = None) -> Surfaces:
     """Correlate windows of `side` samples, on a regular grid, over all displacements up to `reach`.
 
     Parameters
@@ -52,12 +55,14 @@ def correlated(level: Level, side: int, reach: int, step: int | None = None) -> 
     level : the aligned fields
     side, reach : samples
     step : between neighbouring windows; None for windows that touch
+    most : at most so many of them, evenly taken; None for all
 
     Notes
     -----
     The real part of the sum of z1* z2 over the root of the sums of |z1|^2 and |z2|^2. Without data z is 0.
     """
     import cv2
+    from scipy import fft
 
     height, width = level.valid.shape
     step = step or side
@@ -72,25 +77,27 @@ def correlated(level: Level, side: int, reach: int, step: int | None = None) -> 
 
     kept = [(y, x, held(y, x)) for y, x in corners]
     kept = [entry for entry in kept if entry[2] >= LEAST_VALID * side**2]
+    if most is not None and len(kept) > most:
+        kept = [kept[i * len(kept) // most] for i in range(most)]
     wide, shifts = side + 2 * reach, 2 * reach + 1
-    n = cv2.getOptimalDFTSize(wide)
+    n = fft.next_fast_len(wide)
     border = (reach,) * 4
-    there = cv2.copyMakeBorder(level.there, *border, cv2.BORDER_CONSTANT, value=0)
-    power = cv2.integral(there[..., 0] ** 2 + there[..., 1] ** 2, sdepth=cv2.CV_64F)
-    one, other = np.zeros((2, n, n, 2), np.float32)
+    padded = cv2.copyMakeBorder(level.there, *border, cv2.BORDER_CONSTANT, value=0)
+    here, there = (np.ascontiguousarray(field).view(np.complex64)[..., 0] for field in (level.here, padded))
+    power = cv2.integral(padded[..., 0] ** 2 + padded[..., 1] ** 2, sdepth=cv2.CV_64F)
     values = np.zeros((len(kept), shifts, shifts), np.float32)
-    inverse = cv2.DFT_INVERSE | cv2.DFT_SCALE | cv2.DFT_COMPLEX_OUTPUT
-    for i, (y, x, _) in enumerate(kept):
-        window = level.here[y : y + side, x : x + side]
-        one[:side, :side] = window
-        other[:wide, :wide] = there[y : y + wide, x : x + wide]
-        spectra = [cv2.dft(values_of, flags=cv2.DFT_COMPLEX_OUTPUT) for values_of in (one, other)]
-        product = cv2.dft(cv2.mulSpectrums(spectra[1], spectra[0], 0, conjB=True), flags=inverse)
-        near, far = slice(y, y + shifts), slice(y + side, y + side + shifts)
-        left, right = slice(x, x + shifts), slice(x + side, x + side + shifts)
-        energy = power[far, right] - power[far, left] - power[near, right] + power[near, left]
-        energy = np.maximum(energy, LEAST_ENERGY * energy.max()) * float(np.vdot(window, window))
-        values[i] = product[:shifts, :shifts, 0] / np.sqrt(energy + 1e-12)
+    for start in range(0, len(kept), BATCH):
+        y, x, _ = np.array(kept[start : start + BATCH]).T
+        one = sliding_window_view(here, (side, side))[y, x]
+        other = sliding_window_view(there, (wide, wide))[y, x]
+        product = fft.fft2(other, (n, n)) * fft.fft2(one, (n, n)).conj()
+        found = fft.ifft2(product).real[:, :shifts, :shifts]
+        corners = sliding_window_view(power, (side + shifts, side + shifts))[y, x]
+        near, far = slice(0, shifts), slice(side, side + shifts)
+        energy = corners[:, far, far] - corners[:, far, near] - corners[:, near, far] + corners[:, near, near]
+        energy = np.maximum(energy, LEAST_ENERGY * energy.max(axis=(1, 2), keepdims=True))
+        energy *= np.square(one.view(np.float32)).sum(axis=(1, 2), dtype=np.float64)[:, None, None]
+        values[start : start + BATCH] = found / np.sqrt(energy + 1e-12)
     middle = (side - 1) / 2
     xy = np.array([(x + middle, y + middle) for y, x, _ in kept], np.float64).reshape(-1, 2)
     return Surfaces(xy, values, np.array([entry[2] for entry in kept], np.float64))
@@ -125,11 +132,13 @@ def together(found: Surfaces, rotation_deg: float, zoom: float, steps: int) -> t
     return float(out[best, 0]) / len(found), np.column_stack([linear[best], middle + shift - linear[best] @ middle])
 
 
-def log10_chance(found: Surfaces, tolerance: int) -> float:
-    """Return the probability, as log10, that independent windows of unrelated fields speak for no displacement so well.
+def log10_chance(found: Surfaces, tolerance: int, affine: FloatArray | None = None) -> float:
+    """Return the probability, as log10, that windows of unrelated fields speak for one displacement so well.
+
+    It is that by an affine map (2, 3) of samples, none by default.
 
     A window's p value is the share of all displacements around which, within the tolerance in samples, its
-    correlation gets as high as it does around none. Their logarithms are summed (R. A. Fisher): for N unrelated windows
+    correlation gets as high as it does around that. Their logarithms are summed (R. A. Fisher): for N unrelated windows
     minus that sum has a gamma distribution of shape N.
     """
     import cv2
@@ -139,10 +148,11 @@ def log10_chance(found: Surfaces, tolerance: int) -> float:
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * tolerance + 1,) * 2)
     reach, total = found.reach, 0.0
     inner = slice(tolerance, 2 * reach + 1 - tolerance)
-    for values in found.values:
+    moves = np.zeros((len(found), 2)) if affine is None else found.xy @ affine[:, :2].T + affine[:, 2] - found.xy
+    at = np.clip(np.rint(moves).astype(int) + reach - tolerance, 0, 2 * (reach - tolerance))
+    for values, (x, y) in zip(found.values, at.tolist(), strict=True):
         around = cv2.dilate(values, disc)[inner, inner]
-        at_none = around[reach - tolerance, reach - tolerance]
-        total -= math.log(np.count_nonzero(around >= at_none) / around.size)
+        total -= math.log(np.count_nonzero(around >= around[y, x]) / around.size)
     return _log10_gamma_tail(total, len(found))
 
 

@@ -1,0 +1,148 @@
+"""`sar-dense` beside OpenCV's ORB in time, and what its parts are worth.
+
+    python benchmarks/dense.py [--rounds 7] [--pairs 24] [--seed 0] [--unrelated 24]
+
+Time: one 600 x 600 pair of real texture under fresh speckle of four looks, or a simulated one; `sar-dense`, the same
+with a model known to 10 px, and `sar-orb`, as ratios to OpenCV's ORB + brute force + GMS + MAGSAC at 2000 features.
+
+Parts: dates and change pairs, the second turned by any angle and scaled by up to 10 %, and crops of different places,
+with the global search, the verification or the further candidates left out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import cv2
+import numpy as np
+from measuring import DATA, Pair, machine, measure, on_one_thread, read, real_scenes, table, warped
+from numpy.typing import NDArray
+from pairs import by_opencv
+from trust import scenes, unrelated
+
+import featreg
+from featreg.geometry import Affine
+from featreg.simulate import sar_pair
+from featreg.simulate.pairs import similarity_matrix
+
+FEATURES, SIDE, RIGHT_PX = 2000, 600, 3.0
+#: What is left out -> keywords of `match`. A chance that nothing misses and an ambiguity of 1 decide nothing.
+PARTS: dict[str, dict[str, Any]] = {
+    "nothing": {},
+    "verification": {"chance": -1e-6, "ambiguity": 1.0},
+    "further candidates": {"candidates": 1},
+    "global search": {},
+}
+Image = NDArray[Any]
+
+
+def speed_pair(rng: np.random.Generator) -> tuple[Image, Image, NDArray[np.float64]]:
+    found = sorted((DATA / "sentinel1_mosaic").glob("*.png"))
+    if not found:
+        pair = sar_pair((SIDE, SIDE), looks=4, rotation_deg=8, scale=1.03, shift=(6, -4), seed=int(rng.integers(1000)))
+        return pair.reference, pair.secondary, pair.truth
+    image = read(found[0])
+    top, left = (int(rng.integers(0, n - SIDE)) for n in image.shape)
+    texture = image[top : top + SIDE, left : left + SIDE].astype(np.float32) + 1
+    truth = similarity_matrix(texture.shape, float(rng.uniform(-12, 12)), 1.03, (6, -4))
+    one, other = (
+        (view * np.sqrt(rng.gamma(4, 0.25, view.shape))).astype(np.float32)
+        for view in (texture, warped(texture, truth))
+    )
+    return one, other, truth
+
+
+def times(rng: np.random.Generator, rounds: int) -> str:
+    reference, secondary, truth = speed_pair(rng)
+    common: dict[str, Any] = {"model": "affine", "seed": 0, "nodata": 0, "n_features": FEATURES}
+    known = Affine(truth + np.array([[0, 0, 4.0], [0, 0, -3.0]]))
+    runs: dict[str, Callable[[], Any]] = {
+        "OpenCV ORB": by_opencv(Pair("speed", "speed", reference, secondary, truth, 0), FEATURES),
+        "sar-orb": lambda: featreg.match(reference, secondary, method="sar-orb", **common),
+        "sar-dense": lambda: featreg.match(reference, secondary, method="sar-dense", **common),
+        "sar-dense, known to 10 px": lambda: featreg.match(
+            reference, secondary, method="sar-dense", initial=known, search_radius=10, **common
+        ),
+    }
+    spent = measure(runs, rounds)
+    rows = []
+    for name, run in runs.items():
+        result = run()
+        error = error_of(result.model, truth, reference.shape) if isinstance(result, featreg.Registration) else math.nan
+        rows.append([name, spent[name], spent[name].median / spent["OpenCV ORB"].median, error])
+    return table(("method", "ms, median (quartiles)", "over ORB", "grid px"), rows)
+
+
+def error_of(model: Any, truth: NDArray[np.float64], shape: tuple[int, ...]) -> float:
+    """Root mean square error over the part of a grid that both images show; infinite without a model."""
+    if not model:
+        return math.inf
+    x, y = np.meshgrid(np.linspace(0, shape[1] - 1, 15), np.linspace(0, shape[0] - 1, 15))
+    grid = np.column_stack([x.ravel(), y.ravel()])
+    there = grid @ truth[:, :2].T + truth[:, 2]
+    inside = ((there >= 0) & (there <= np.array(shape[1::-1]) - 1)).all(axis=1)
+    return float(np.sqrt(((model(grid[inside]) - there[inside]) ** 2).sum(axis=1).mean()))
+
+
+def turned_pairs(rng: np.random.Generator, count: int) -> Iterator[tuple[Image, Image, NDArray[np.float64]]]:
+    found = real_scenes()
+    for i in range(count):
+        if found:
+            _, _, first, second = found[i * len(found) // count]
+        else:
+            pair = sar_pair((400, 400), looks=1, rotation_deg=0, scale=1, shift=(0, 0), seed=i)
+            first, second = pair.reference, pair.secondary
+        height, width = np.minimum(first.shape, second.shape)
+        truth = similarity_matrix(
+            (int(height), int(width)), float(rng.uniform(-180, 180)), float(rng.uniform(0.9, 1.1)), (5.0, -5.0)
+        )
+        yield first[:height, :width], warped(second[:height, :width], truth), truth
+
+
+def parts(rng: np.random.Generator, related: int, others: int, seed: int) -> str:
+    turned, places = list(turned_pairs(rng, related)), scenes(seed)[1]
+    strangers = [unrelated(rng, places) for _ in range(others)]
+    rows = []
+    for name, keywords in PARTS.items():
+        right = wrong = false = 0
+        for reference, secondary, truth in turned:
+            mask = cv2.warpAffine(np.ones(reference.shape, np.uint8), truth, reference.shape[::-1]) > 0
+            result = matched(reference, secondary, name, {**keywords, "secondary_mask": mask})
+            error = error_of(result.model, truth, reference.shape) if result.status == "ok" else math.inf
+            right += error <= RIGHT_PX
+            wrong += result.status == "ok" and error > RIGHT_PX
+        for reference, secondary, _ in strangers:
+            false += matched(reference, secondary, name, keywords).status == "ok"
+        rows.append([name, f"{right} of {related}", wrong, f"{false} of {others}"])
+    return table(("left out", "right", "ok and wrong", "other places ok"), rows)
+
+
+def matched(reference: Image, secondary: Image, name: str, keywords: dict[str, Any]) -> Any:
+    if name == "global search":
+        # From where both images lie, as far as windows reach at the coarsest level.
+        same = Affine(np.array([[1.0, 0, 0], [0, 1, 0]]))
+        keywords = {**keywords, "initial": same, "search_radius": 12 * max(reference.shape) / 128}
+    return featreg.match(reference, secondary, method="sar-dense", model="similarity", seed=0, **keywords)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--pairs", type=int, default=24)
+    parser.add_argument("--unrelated", type=int, default=24)
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    rng = np.random.default_rng(given.seed)
+    print(f"{machine()}; seed {given.seed}\n")
+    if given.rounds:
+        print(f"{times(rng, given.rounds)}\n")
+    if given.pairs:
+        print(parts(rng, given.pairs, given.unrelated, given.seed))
+
+
+if __name__ == "__main__":
+    on_one_thread()
+    main()
