@@ -1,12 +1,14 @@
 """`sar-dense` beside OpenCV's ORB in time, and what its parts are worth.
 
-    python benchmarks/dense.py [--rounds 7] [--pairs 24] [--seed 0] [--unrelated 24]
+    python benchmarks/dense.py [--rounds 7] [--pairs 24] [--seed 0] [--unrelated 24] [--picture FILE.jpg]
 
 Time: one 600 x 600 pair of real texture under fresh speckle of four looks, or a simulated one; `sar-dense`, the same
 with a model known to 10 px, and `sar-orb`, as ratios to OpenCV's ORB + brute force + GMS + MAGSAC at 2000 features.
 
 Parts: dates and change pairs, the second turned by any angle and scaled by up to 10 %, and crops of different places,
 with the global search, the verification or the further candidates left out.
+
+Picture: hard simulated pairs, aligned by `sar-dense`, and what other methods say of them.
 """
 
 from __future__ import annotations
@@ -36,6 +38,8 @@ PARTS: dict[str, dict[str, Any]] = {
     "further candidates": {"candidates": 1},
     "global search": {},
 }
+#: Methods whose verdicts the picture shows.
+SAID = ("sar-orb", "rift", "optical-sar", "sar-dense")
 Image = NDArray[Any]
 
 
@@ -128,12 +132,59 @@ def matched(reference: Image, secondary: Image, name: str, keywords: dict[str, A
     return featreg.match(reference, secondary, method="sar-dense", model="similarity", seed=0, **keywords)
 
 
+def hard_pairs(seed: int) -> Iterator[tuple[str, Image, Image, NDArray[np.float64] | None]]:
+    """(title, reference, secondary, truth or None where there is none) of simulated pairs, 300 x 300."""
+    shape = (300, 300)
+    pair = sar_pair(shape, looks=1, rotation_deg=137, scale=0.8, shift=(12, -9), seed=seed)
+    yield "one look, turned by 137 degrees, scale 0.8", pair.reference, pair.secondary, pair.truth
+    pair = sar_pair(shape, looks=4, rotation_deg=-64, scale=1.2, shift=(4, 9), seed=seed + 1)
+    smooth = cv2.blur(pair.secondary, (5, 5))
+    reverse = np.where(smooth > 0, smooth.mean() ** 2 / np.maximum(smooth, 1e-3), 0).astype(np.float32)
+    yield "contrast reversed, smoothed, turned by -64 degrees", pair.reference, reverse, pair.truth
+    pair = sar_pair(shape, looks=2, rotation_deg=0, scale=1, shift=(140, 130), seed=seed + 2)
+    yield "a third of the area in common", pair.reference, pair.secondary, pair.truth
+    other = sar_pair(shape, looks=4, rotation_deg=0, scale=1, shift=(0, 0), seed=seed + 3)
+    yield "two places", pair.reference, other.reference, None
+
+
+def picture(path: str, seed: int) -> None:
+    """Write the hard pairs as rows: reference, secondary, chessboard of both as `sar-dense` aligns them, verdicts."""
+    rows = []
+    for title, reference, secondary, truth in hard_pairs(seed):
+        lines, board = [title, ""], None
+        for method in SAID:
+            result = featreg.match(reference, secondary, method=method, model="similarity", seed=0, nodata=0)
+            error = error_of(result.model, truth, reference.shape) if truth is not None else math.inf
+            told = f"{error:.2f} px off" if math.isfinite(error) else "there is none"
+            lines.append(f"{method}: {result.status}" + (f", {told}" if result.status == "ok" else ""))
+            if method == "sar-dense" and result.status == "ok":
+                aligned = featreg.warp(result, secondary, like=reference.shape)
+                y, x = np.indices(reference.shape)
+                view = to_bytes(np.nan_to_num(np.asarray(aligned, np.float64)))
+                board = np.where((y // 50 + x // 50) % 2 == 0, to_bytes(reference), view)
+        panel = np.full((300, 420), 255, np.uint8)
+        for i, line in enumerate(lines):
+            cv2.putText(panel, line, (12, 40 + 32 * i), cv2.FONT_HERSHEY_SIMPLEX, 0.48, 0, 1, cv2.LINE_AA)
+        blank = np.full((300, 300), 235, np.uint8)
+        views = [to_bytes(reference), to_bytes(secondary), blank if board is None else board, panel]
+        rows.append(np.hstack([cv2.copyMakeBorder(view, 4, 4, 4, 4, cv2.BORDER_CONSTANT, value=255) for view in views]))
+    cv2.imwrite(path, np.vstack(rows), [cv2.IMWRITE_JPEG_QUALITY, 80])
+
+
+def to_bytes(image: Image) -> NDArray[np.uint8]:
+    """An image as 8 bits, half of the range for its median."""
+    valid = image[image > 0]
+    scale = 90 / float(np.median(valid)) if valid.size else 1.0
+    return np.clip(image * scale, 0, 255).astype(np.uint8)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=7)
     parser.add_argument("--pairs", type=int, default=24)
     parser.add_argument("--unrelated", type=int, default=24)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--picture", help="JPEG of hard pairs to write")
     given = parser.parse_args()
     rng = np.random.default_rng(given.seed)
     print(f"{machine()}; seed {given.seed}\n")
@@ -141,6 +192,8 @@ def main() -> None:
         print(f"{times(rng, given.rounds)}\n")
     if given.pairs:
         print(parts(rng, given.pairs, given.unrelated, given.seed))
+    if given.picture:
+        picture(given.picture, given.seed)
 
 
 if __name__ == "__main__":

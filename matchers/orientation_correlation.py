@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -15,6 +15,7 @@ from featreg.errors import ParameterError
 from featreg.geometry import Affine, Similarity
 from featreg.geometry.robust import irls
 from featreg.interfaces import FailedFit, Matcher, Model
+from featreg.pipeline.identical import identical_pixels
 from featreg.registry import register
 from featreg.runtime.parameters import Count, Positive, Share
 from featreg.runtime.timing import stage
@@ -74,7 +75,8 @@ class OrientationCorrelation(Matcher):
     contrast, so that optical and SAR images compare. Every pixel votes in the search, which speckle does not survive;
     its peak does not tell related from unrelated images, so that several candidates are kept. Windows that do not
     overlap refine each of them together and then say, each by the rank of its own correlation there, whether it is
-    more than chance. The best one is followed to full resolution, where each window gives a tie point.
+    more than chance. The best one is followed to full resolution, where each window gives a tie point. Pixels that
+    stand alike in both images while their surroundings disagree do not vote.
 
     The covariance of a tie point is (1 - rho^2) / (n rho) times the inverse curvature of its peak of height rho, n the
     number of independent samples in the window.
@@ -109,6 +111,7 @@ class OrientationCorrelation(Matcher):
 
     def match(self, reference: Image, secondary: Image) -> Matches:
         """Return one tie point per window; empty where no alignment is more than chance, or where two are."""
+        reference, secondary = _without_identical(reference, secondary)
         scales = scale_steps(self.largest, self.scale_step)
         # Most images have about the same scale: where an alignment of these stands out and is decided, it is the one.
         judged = self._search(reference, secondary, scales[:SIMILAR], OUTSTANDING)
@@ -122,6 +125,7 @@ class OrientationCorrelation(Matcher):
 
     def match_near(self, reference: Image, secondary: Image, initial: Model, radius: float) -> Matches:
         """As `match`, of images that `initial` aligns to within a radius in pixels of the secondary."""
+        reference, secondary = _without_identical(reference, secondary)
         affine = _linearised(initial, reference.shape)
         with stage("verify"):
             known = None if affine is None else near(reference, secondary, affine, radius)
@@ -214,6 +218,19 @@ def _corrected(level: Level, found: Surfaces, seen: Peaks) -> FloatArray:
         if not isinstance(model, FailedFit) and np.count_nonzero(weights) >= least and model.matrix is not None:
             return level.moved(model.matrix[:2])
     return level.affine
+
+
+def _without_identical(reference: Image, secondary: Image) -> tuple[Image, Image]:
+    """Both images without what is identical in them while their surroundings disagree: frames, labels, dead pixels."""
+    same = identical_pixels(reference, secondary)
+    if same is None or same.all():
+        return reference, secondary
+    return _masked(reference, ~same), _masked(secondary, ~same)
+
+
+def _masked(image: Image, kept: BoolArray) -> Image:
+    mask = image.mask & kept
+    return replace(image, pixels=np.where(mask, image.pixels, image.pixels.dtype.type(0)), mask=mask)
 
 
 def _linearised(model: Model, shape: tuple[int, int]) -> FloatArray | None:

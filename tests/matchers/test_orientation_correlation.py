@@ -116,3 +116,14 @@ def test_a_radius_as_large_as_the_image_is_searched() -> None:
     near, searched = matcher.match_near(*images, same, 150.0), matcher.match(*images)
     assert len(near) > 12
     assert np.array_equal(near.secondary_xy, searched.secondary_xy)
+
+
+def test_a_frame_and_a_label_on_two_places_are_no_alignment() -> None:
+    label = np.zeros(SHAPE, np.uint8)
+    cv2.rectangle(label, (6, 6), (293, 293), 255, 2)
+    cv2.putText(label, "SAR 2026", (20, 280), cv2.FONT_HERSHEY_SIMPLEX, 1.2, 255, 3)
+    one, other = (
+        np.where(label > 0, np.float32(30), sar_pair(SHAPE, looks=4, rotation_deg=0, seed=seed).reference)
+        for seed in (8, 9)
+    )
+    assert featreg.match(one, other, method="sar-dense", seed=0).status == "unreliable"
