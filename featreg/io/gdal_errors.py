@@ -60,4 +60,6 @@ def _said(path: str | Path, kind: str, error: Exception) -> str:
             f"{path}: the {kind} file is compressed in a way that the library installed here cannot read ({why}); "
             "write it anew with another compression, such as DEFLATE"
         )
+    if "does not exist in the file system" in why:
+        return f"{path}: GDAL finds no such file; give the name of an existing one"
     return f"{path}: the {kind} file is broken or cut short ({why}); a complete file is needed"

@@ -125,6 +125,8 @@ def _by_what_lies_beside(path: Path, head: bytes) -> Reader:
     for pattern, driver in LEADING:
         if pattern.fullmatch(path.name):
             return within_folder(path, GdalReader(str(path.absolute()), [driver], str(path)))
+    if path.suffix.lower() == ".hdr":
+        raise InputError(_unknown(path))
     likely = [driver for driver, sidecar in _sidecars(path) if sidecar.is_file()]
     if likely:
         return within_folder(path, GdalReader(str(path.absolute()), likely, str(path)))

@@ -226,6 +226,14 @@ def test_the_suffix_decides_nothing(tmp_path: Path) -> None:
     np.testing.assert_array_equal(as_image(tmp_path / "a.dat").pixels, AMPLITUDE)
 
 
+def test_a_header_and_a_name_without_a_file_are_named(tmp_path: Path) -> None:
+    write(tmp_path / "a.img", AMPLITUDE, "ENVI")
+    with pytest.raises(InputError, match=r"a\.hdr: is a header; give the raster beside it"):
+        as_image(tmp_path / "a.hdr")
+    with pytest.raises(InputError, match="GDAL finds no such file"):
+        as_image("/vsizip/nothing.zip/a.tif")
+
+
 def test_samples_that_begin_like_a_bitmap_are_none(tmp_path: Path) -> None:
     raw = BYTES.copy()
     raw[0, :2] = list(b"BM")
