@@ -66,7 +66,9 @@ def local_correlations(
     found = np.empty((len(xy), 2 * search + 1, 2 * search + 1))
     if there is not None or len(xy) * side**2 < FEW * first.size:
         us, vs = (xs, ys) if there is None else np.ascontiguousarray(there[order].T)
-        correlation_kernels.correlations_of_few(first, second, xs, ys, us, vs, half, search, found)
+        correlation_kernels.correlations_of_few(
+            first.ravel(), first.shape[1], second.ravel(), second.shape[1], xs, ys, us, vs, half, search, found
+        )
         return _in_order(found, order)
     # Running sums lose digits on a high level.
     a = first - np.float32(cv2.mean(first)[0])

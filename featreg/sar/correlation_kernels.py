@@ -162,11 +162,12 @@ def _column_sums(
 
 @compiled
 def correlations_of_few(
-    a: F32, b: F32, xs: I64, ys: I64, us: I64, vs: I64, half: int, search: int, out: NDArray[np.float64]
-) -> None:
+    flat_a: F32, width_a: int, flat_b: F32, width_b: int, xs: I64, ys: I64, us: I64, vs: I64, half: int, search: int,
+    out: NDArray[np.float64],
+) -> None:  # fmt: skip
     """As `correlations`, each window on its own: the cost is that of the windows, not that of the image.
 
-    The window of `a` at (xs, ys) is compared with those of `b` around (us, vs).
+    The window of a at (xs, ys) is compared with those of b around (us, vs); both are given row by row.
     """
     side = 2 * half + 1
     wide, wider = (side + 7) // 8 * 8, side + 2 * search
@@ -174,8 +175,6 @@ def correlations_of_few(
     window = np.zeros(side * wide, np.float32)
     sums = np.empty(wide, np.float32)
     columns, squares = np.empty(wider, np.float32), np.empty(wider, np.float32)
-    flat_a, flat_b = a.ravel(), b.ravel()
-    width_a, width_b = a.shape[1], b.shape[1]
     one = np.float32(1)
     for i in range(xs.shape[0]):
         _copied_window(flat_a, (ys[i] - half) * width_a + xs[i] - half, width_a, side, wide, window)
@@ -193,7 +192,7 @@ def correlations_of_few(
         power_a = np.float64(_product(window, wide, window, 0, wide, sums))
         flat = power_a <= 1e-5 * (power_a + total * total / count)
         # Sums of squares lose digits on a high level; any value nearby will do.
-        level = b[vs[i], us[i]]
+        level = flat_b[vs[i] * width_b + us[i]]
         power_of_level = count * np.float64(level) ** 2
         corner = (vs[i] - half - search) * width_b + us[i] - half - search
         columns[:], squares[:] = 0, 0
