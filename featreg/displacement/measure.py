@@ -14,7 +14,7 @@ from featreg.displacement.cells import CellGrid, Reason
 from featreg.displacement.neighbours import LEAST, company, filled, outliers, smoothed
 from featreg.pipeline.aligned import halved
 from featreg.sar.correlation import peaks, quadratic_steps
-from featreg.sar.grid_correlation import Expected, WindowGrid, grid_correlations, grid_peaks, piece_middles
+from featreg.sar.grid_correlation import Expected, WindowGrid, grid_correlations, grid_peaks, piece_middles, read_shift
 from featreg.sar.speckle import log_amplitude
 from featreg.types import BoolArray, FloatArray, Image
 
@@ -24,7 +24,7 @@ Map = Callable[[FloatArray], FloatArray]
 #: Standard deviations of the two Gaussians whose difference is the band that is correlated, px of the level. Speckle is
 #: white: what is finer than the first holds little else, and what is coarser than the second hardly tells a position.
 BAND = (0.7, 2.0)
-TAPS = (5, 11)
+TAPS = (5, 9)
 #: Largest shift searched at the coarsest level, px of that level, and around the prediction at finer ones.
 WIDE, NARROW = 5, 2
 #: Shortest side of a window at any level, px of that level.
@@ -39,8 +39,10 @@ OWN = 2
 #: Of the test against the neighbours, at coarse levels and at the end.
 COARSE_LIMIT, LIMIT = 3.0, 4.0
 #: Passes at full size: the first is around what the coarse levels predict, the last around what the one before found.
-#: More, up to the second number, while less than this share of the windows that correlate have their peak within reach.
-PASSES, MOST_PASSES, ENOUGH = 2, 4, 0.98
+#: One is enough where next to no window is strained by more than STRAIN px from side to side; more than two, up to the
+#: second number, while less than the share ENOUGH of the windows that correlate have their peak within reach.
+STRAIN = 0.4
+PASSES, MOST_PASSES, ENOUGH = 2, 4, 0.95
 #: RMS distance of a neighbourhood from a plane, px, beyond which it is none.
 ROUGH = 0.5
 
@@ -147,11 +149,14 @@ def _at_full_size(
         residual, sound = step.reshape(*shape, 2), curved.reshape(shape)
         height = surface.max(axis=(2, 3))
         high = height * chance(windows.window) >= LEAST_SNR
-        if k + 1 >= PASSES and (sound & high).sum() >= ENOUGH * high.sum():
+        strained = np.abs(expected.slope).max(axis=(2, 3)) * windows.window > STRAIN
+        calm = strained.mean() <= 1 - ENOUGH
+        if (calm or k + 1 >= PASSES) and (sound & high).sum() >= ENOUGH * high.sum():
             break
         best = surface.reshape(*shape, 9).argmax(axis=-1)
         climbed = np.stack([best % 3 - 1, best // 3 - 1], axis=-1)
-        moved = (expected.shift + np.where(sound[..., None], residual, climbed)).astype(np.float32)
+        read = read_shift(windows, expected)
+        moved = (read + np.where(sound[..., None], residual, climbed)).astype(np.float32)
         field = smoothed(filled(moved, high & ~outliers(moved, high, COARSE_LIMIT)))
     made = grid_peaks(first, second, windows, expected, residual)
     return made.shift, made.covariance, height, sound
@@ -268,8 +273,8 @@ def _coarse(
         if level == top:
             clear = _stands_alone(surface, RIVAL_SNR / unit).astype(np.float32)
         good &= clear > 0.5
-        # The pieces of a window were read on either side of what is expected of its middle: their mean is that.
-        moved = (expected.shift + found.shift.reshape(*here.cells, 2)).astype(np.float32)
+        # A peak counts from where the pieces were read, which whole pixels keep from what was expected.
+        moved = (read_shift(windows, expected) + found.shift.reshape(*here.cells, 2)).astype(np.float32)
         good &= ~outliers(moved, good, COARSE_LIMIT)
         field = smoothed(filled(moved, good))
         before = here

@@ -89,6 +89,23 @@ class Expected:
         return cls(np.zeros((*grid.shape, 2)), np.zeros((*grid.shape, 2, 2)), np.zeros((*shape, 2), np.int64))
 
 
+def read_shift(grid: WindowGrid, expected: Expected) -> FloatArray:
+    """Return the (rows, cols, 2) mean of the whole shifts at which the pieces of each window are read, px.
+
+    It differs from the shift expected of the window by what whole pixels leave; where it differs by more, some pieces
+    show another motion and are left out, and the expected one stands.
+    """
+    pieces = expected.pieces
+    total = np.zeros((pieces.shape[0] + 1, pieces.shape[1] + 1, 2))
+    total[1:, 1:] = pieces.cumsum(axis=0).cumsum(axis=1)
+    (_, rows), (_, cols) = grid.row_pieces, grid.col_pieces
+    (top, bottom), (left, right) = rows.T[..., None], cols.T
+    inside = total[bottom, right] - total[top, right] - total[bottom, left] + total[top, left]
+    mean = inside / ((bottom - top) * (right - left))[..., None]
+    near = (np.abs(mean - expected.shift) <= 1).all(axis=-1, keepdims=True)
+    return np.where(near, mean, expected.shift)
+
+
 @dataclass(frozen=True, eq=False)
 class GridPeaks:
     """The correlation's peaks in the windows of a grid.

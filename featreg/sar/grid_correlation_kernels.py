@@ -13,8 +13,8 @@ I64 = NDArray[np.int64]
 
 #: Sums of a piece of `piece_slopes`.
 SUMS = 5
-#: Pieces of equal weight that are spent on the shift and on the width of its interval (Hotelling's law).
-FEW = 2.0
+#: Pieces of equal weight that are spent on the shift.
+FEW = 1.0
 
 
 @compiled
@@ -246,7 +246,7 @@ def window_peaks(
                         sx, sy, n = sx + gx, sy + gy, n + 1
                         sxx, sxy, syy = sxx + gx * gx, sxy + gx * gy, syy + gy * gy
                         squares += (k[2] + k[4]) ** 2
-            # As many pieces of equal weight; few of them hold wider intervals than a normal law.
+            # As many pieces of equal weight.
             equal = (xx + yy) ** 2 / squares
             scale = leak * equal / max(equal - FEW, 1.0) / determinant**2
             sxx, sxy, syy = (sxx - sx * sx / n) * scale, (sxy - sx * sy / n) * scale, (syy - sy * sy / n) * scale
