@@ -16,7 +16,6 @@ import typer
 
 from featreg.cli.options import check_folder, number, whole_number
 from featreg.errors import InputError, ParameterError
-from featreg.io.source_names import parse_source
 
 if TYPE_CHECKING:
     from featreg.types import Image
@@ -110,6 +109,8 @@ def may_be_blocks(options: BlockOptions, files: Sequence[str]) -> bool:
 
 def _size(file: str) -> float:
     """Bytes of a file; of a product's folder and of what lies elsewhere, that it may be large."""
+    from featreg.io.source_names import parse_source
+
     path = parse_source(file).path
     try:
         return math.inf if path is None or path.is_dir() else os.path.getsize(path)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
 
 from featreg.cli.options import BandOption, NodataOption
@@ -119,6 +118,8 @@ def describe(
 
 def _sampled(source: RasterSource) -> tuple[FloatArray, BoolArray]:
     """Amplitude and mask of some windows of the scene, one above the other."""
+    import numpy as np
+
     from featreg.io.window import Window
 
     height, width = source.shape
@@ -135,6 +136,8 @@ def _looks(amplitude: FloatArray, mask: BoolArray) -> float | None:
 
     The median over the calmest 5 % of the windows; texture lowers it, correlated neighbours raise it.
     """
+    import numpy as np
+
     rows, cols = (n // SIDE for n in amplitude.shape)
     if rows < 2 or cols < 2:
         return None
@@ -153,6 +156,8 @@ def _looks(amplitude: FloatArray, mask: BoolArray) -> float | None:
 
 
 def _place(source: RasterSource) -> dict[str, Any] | None:
+    import numpy as np
+
     from featreg.errors import FeatregError
     from featreg.geolocation import ground_level, sensor_of
     from featreg.geolocation.pixel_size import pixel_size

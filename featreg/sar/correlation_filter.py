@@ -113,15 +113,13 @@ def _squares(shape: tuple[int, int], valid: BoolArray | None) -> IntArray:
 
 def _spectra(view: F32, corners: IntArray) -> NDArray[np.complex64]:
     """(N, SIDE, SIDE / 2 + 1) spectra of squares of unit energy."""
-    from scipy.fft import rfft2
-
     x, y = (corners[:, k, None] + np.arange(SIDE) for k in (0, 1))
     squares = view[y[:, :, None], x[:, None, :]]
     window = np.hanning(SIDE + 2)[1:-1].astype(np.float32)
     squares = (squares - squares.mean(axis=(1, 2), keepdims=True)) * (window[:, None] * window)
     energy = np.sqrt((squares**2).sum(axis=(1, 2), keepdims=True))
     squares = np.divide(squares, energy, out=np.zeros_like(squares), where=energy > 1e-6)
-    return np.asarray(rfft2(squares), np.complex64)
+    return np.asarray(np.fft.rfft2(squares), np.complex64)
 
 
 def _radial(values: FloatArray, turns: FloatArray) -> FloatArray:
