@@ -216,7 +216,9 @@ def listed(source: Path) -> list[dict[str, Any]]:
 
 
 def current(kernel: Source) -> list[dict[str, Any]]:
-    """What is prepared of a kernel, from its source as it is now."""
+    """What is prepared of a kernel, from its source as it is now; nothing where numba is asked for."""
+    if os.environ.get("FEATREG_KERNELS") == "numba":
+        return []
     name = kernel.function.__name__
     of_name = [entry for entry in listed(kernel.path) if entry["kernel"] == name]
     return [entry for entry in of_name if entry["source"] == _digest(kernel)]
@@ -225,7 +227,7 @@ def current(kernel: Source) -> list[dict[str, Any]]:
 def prepared(kernel: Source, key: tuple[str, ...] | None) -> Bound | None:
     """The machine code of a kernel for arguments of these kinds; None where nothing is prepared for them here."""
     found = _content(file_of(kernel.path))
-    if key is None or found is None or os.environ.get("FEATREG_KERNELS") == "numba":
+    if key is None or found is None:
         return None
     for entry in current(kernel):
         if tuple(entry["key"]) == key:
