@@ -42,6 +42,7 @@ def warm_up() -> None:
     """
     import numpy as np
 
+    from featreg.displacement import offsets
     from featreg.focusing import focus
     from featreg.matching import match
     from featreg.pipeline.assembly import assemble
@@ -62,6 +63,7 @@ def warm_up() -> None:
     for image in (real[1], complex_[1]):
         warp(result, image, like=SHAPE)
     focus(complex_[1])
+    offsets(*real, window=32)
 
 
 def _methods() -> Iterator[dict[str, Any]]:
