@@ -42,7 +42,7 @@ def warm_up() -> None:
     """
     import numpy as np
 
-    from featreg.displacement import offsets
+    from featreg.displacement.run import offsets
     from featreg.focusing import focus
     from featreg.matching import match
     from featreg.pipeline.assembly import assemble
