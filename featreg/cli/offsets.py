@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from featreg.cli.options import (
+    BandOption,
     NodataOption,
     announce_compiling,
     check_folder,
@@ -68,6 +69,15 @@ def offsets(
         ),
     ] = None,
     nodata: NodataOption = None,
+    band: BandOption = None,
+    reference_band: Annotated[
+        str | None,
+        typer.Option("--reference-band", metavar="BAND", help="That of the reference.", show_default="--band"),
+    ] = None,
+    secondary_band: Annotated[
+        str | None,
+        typer.Option("--secondary-band", metavar="BAND", help="That of the secondary.", show_default="--band"),
+    ] = None,
     block: Annotated[
         int | None,
         typer.Option(
@@ -140,6 +150,9 @@ def offsets(
             secondary_mask=mask_secondary,
             nodata=nodata,
             scale=scale,
+            band=band,
+            reference_band=reference_band,
+            secondary_band=secondary_band,
             block=block,
             workers=workers,
             scheduler=scheduler,

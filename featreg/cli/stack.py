@@ -12,6 +12,7 @@ from featreg.cli.options import (
     MethodOptions,
     announce_compiling,
     check_folder,
+    check_output,
     counter,
     parse_settings,
     whole_number,
@@ -19,6 +20,9 @@ from featreg.cli.options import (
 from featreg.errors import InputError, ParameterError
 from featreg.pipeline.keywords import KEYWORDS
 from featreg.runtime.threads import limited_threads
+
+#: That of `featreg.register_stack`, which is imported with the command.
+DEFAULT_METHOD = "sar-orb"
 
 
 def pairs_of(text: Any) -> Any:
@@ -61,7 +65,9 @@ def stack(
             show_default="with the next two and the reference",
         ),
     ] = None,
-    method: Annotated[str, typer.Option("--method", metavar="NAME", help="One of `featreg list method`.")] = "sar-orb",
+    method: Annotated[
+        str, typer.Option("--method", metavar="NAME", help="One of `featreg list method`.")
+    ] = DEFAULT_METHOD,
     *,
     common: MethodOptions,
     add: Annotated[
@@ -105,8 +111,12 @@ def stack(
         raise ParameterError("--scheduler brings its own workers: leave --workers out")
     if add and (reference or pairs is not None):
         raise ParameterError("--add keeps the reference and the pairs of the stack: leave --reference and --pairs out")
+    check_output(cube, "--cube", suffixes=[".nc", ".zarr"], inputs=images)
     settings = parse_settings(common.settings, (keyword.name for keyword in KEYWORDS if keyword.option))
     given = {k: v for k, v in {**common.keywords(), **settings}.items() if v is not None}
+    changed = [*given, *(["method"] if method != DEFAULT_METHOD else []), *(["seed"] if common.seed else [])]
+    if add and changed:
+        raise ParameterError(f"--add keeps the options of the stack: leave {', '.join(sorted(changed))} out")
     announce_compiling()
     with limited_threads(workers, 1):
         from featreg.pictures.stack import draw_stack

@@ -20,9 +20,11 @@ from featreg.errors import InputError, ParameterError
 from featreg.geometry import as_model, model_to_dict
 from featreg.interfaces import FailedFit, Model
 from featreg.io import ImageLike
+from featreg.io.bands import BandLike
 from featreg.io.masks import MaskLike
 from featreg.io.raster_source import Source, Window, open_source
 from featreg.pipeline.inputs import input_image
+from featreg.pipeline.keywords import bands_of
 from featreg.products.placement import Placed, relation
 from featreg.results.registration import Registration
 from featreg.runtime.cluster import dask_client
@@ -56,6 +58,9 @@ def offsets(
     secondary_mask: MaskLike | None = None,
     nodata: complex | None = None,
     scale: str | None = None,
+    band: BandLike = None,
+    reference_band: BandLike = None,
+    secondary_band: BandLike = None,
     block: int | bool | None = None,
     executor: Any = None,
     workers: int | None = None,
@@ -74,7 +79,7 @@ def offsets(
     search : largest displacement looked for, px, beyond what `initial` says
     initial : what is known beforehand: a `Registration`, a model, a matrix or the JSON file of a result. None takes the
         images' geolocation where both have a geotransform, else that they lie on one grid
-    reference_mask, secondary_mask, nodata, scale : as in `featreg.match`
+    reference_mask, secondary_mask, nodata, scale, band, reference_band, secondary_band : as in `featreg.match`
     block : side of the blocks in which to work, px, False for the whole images at once; None works in blocks where an
         image has more than 4 million pixels
     executor, workers, scheduler : what runs the blocks, as in `featreg.match`; never changes the result
@@ -103,9 +108,10 @@ def offsets(
     worker_count(workers)
     check_executor(executor)
     check_watch(progress, cancel)
+    bands = bands_of({"band": band, "reference_band": reference_band, "secondary_band": secondary_band})
     here, there = (
-        open_source(source, mask=mask, nodata=nodata, scale=scale)
-        for source, mask in ((reference, reference_mask), (secondary, secondary_mask))
+        open_source(source, mask=mask, nodata=nodata, scale=scale, band=asked)
+        for source, mask, asked in zip((reference, secondary), (reference_mask, secondary_mask), bands, strict=True)
     )
     base = _known(initial, here, there)
     side = _block_side(block, step, here, there)

@@ -21,6 +21,8 @@ Field = NDArray[np.float32]
 
 #: Steps of the fixed-point iteration that inverts a displacement.
 INVERSIONS = 40
+#: What they may leave, px.
+UNSETTLED = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +94,7 @@ def displaced_pair(
     Raises
     ------
     ParameterError
-        An unknown kind, or an argument outside its range.
+        An unknown kind, an argument outside its range, or a displacement that folds the image.
 
     Notes
     -----
@@ -121,6 +123,9 @@ def displaced_pair(
     u, v = cols.copy(), rows.copy()
     for _ in range(1 if kind == "fault" else INVERSIONS):
         u, v = (whole - part for whole, part in zip((cols, rows), np.moveaxis(field(u, v), -1, 0), strict=True))
+    across, down = np.moveaxis(field(u, v), -1, 0)
+    if kind != "fault" and max(np.abs(u + across - cols).max(), np.abs(v + down - rows).max()) > UNSETTLED:
+        raise ParameterError(f"a {kind} of {size:g} px folds an image of {height} x {width}: make it smaller")
     # A spline may swing below 0 beside a bright point.
     moved = np.maximum(map_coordinates(still.secondary, [v, u], order=3, mode="mirror"), 0)
     rngs = np.random.default_rng([seed, 1]).spawn(2)

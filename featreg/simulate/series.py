@@ -54,7 +54,7 @@ def sar_series(
     looks : independent looks averaged in intensity
     drift : standard deviation, px along either axis, of the step from date to date
     rotation_deg : standard deviation of the rotation of each date against the first
-    jump : (first date, dx, dy): from that date on all images lie (dx, dy) px further
+    jump : (first date, at least 1; dx, dy): from that date on all images lie (dx, dy) px further
     changed : a date on which a third of the fields, buildings and targets differ
     unrelated : a date that shows another place
     seed : the same seed gives the same series
@@ -74,6 +74,8 @@ def sar_series(
 
     if len(shape) != 2 or min(shape) < 64:
         raise ParameterError(f"shape must be (H, W) of at least 64 x 64, got {tuple(shape)}")
+    if jump is not None and jump[0] == 0:
+        raise ParameterError("jump must name a date from 1 on: the first image is where the others are counted from")
     for name, date in (("jump", None if jump is None else jump[0]), ("changed", changed), ("unrelated", unrelated)):
         if date is not None and not 0 <= date < count:
             raise ParameterError(f"{name} must name a date from 0 to {count - 1}, got {date}")

@@ -11,6 +11,8 @@ from featreg.errors import InputError, ParameterError
 from featreg.io import as_image
 from featreg.io.writers import replacing, write_geotiff
 from featreg.products.resample import resample
+from featreg.stacks.run import reading_of
+from featreg.types import Image
 
 if TYPE_CHECKING:
     from featreg.stacks.stack import Stack
@@ -23,13 +25,19 @@ def warped(stack: Stack, folder: str | Path | None, resampling: str) -> list[Any
     target = None if folder is None else Path(folder)
     if target is not None:
         target.mkdir(parents=True, exist_ok=True)
-    place = as_image(stack.images[stack.reference]).geolocation
+    reading = reading_of(stack.provenance.get("options", {}))
+
+    def read(image: Any) -> Image:
+        # What is no file was read already.
+        return as_image(image, **(reading if isinstance(image, str) else {}))
+
+    place = read(stack.images[stack.reference]).geolocation
     out: list[Any] = []
     for i, (image, model) in enumerate(zip(stack.images, stack.models, strict=True)):
         if model is None:
             out.append(None)
             continue
-        aligned = resample(as_image(image), model, stack.shape, resampling=resampling)
+        aligned = resample(read(image), model, stack.shape, resampling=resampling)
         blank = np.complex64(complex(np.nan, np.nan)) if aligned.is_complex else np.float32(np.nan)
         values = np.where(aligned.mask, aligned.pixels, blank)
         if target is None:

@@ -19,6 +19,8 @@ from featreg.stacks.stack import Stack
 
 #: Fewest images of a stack.
 FEWEST = 2
+#: Keywords of `featreg.match` that say something of one image of one pair.
+OF_ONE_PAIR = ("reference_mask", "secondary_mask", "reference_band", "secondary_band")
 
 
 def register_stack(
@@ -45,7 +47,8 @@ def register_stack(
     reference : number of the image whose grid is taken, or "auto" for the one that its pairs determine best
     pairs : which pairs are matched: None for each image with the next two and with the reference, "chain" for each with
         the next, "all", or K for each with the next K
-    method, model, seed, keywords : as in `featreg.match`, for every pair
+    method, model, seed, keywords : as in `featreg.match`, for every pair; masks and bands of one of its images are
+        none of them: give `band`, and `Image` with masks of their own
     executor, workers, scheduler : what runs the pairs, or the blocks of each pair where the images are large; never
         changes the result
     resume : folder in which finished pairs are kept, and looked for; a longer stack finds those of a shorter one
@@ -81,6 +84,12 @@ def register_stack(
         raise ParameterError(f"reference must be the number of an image or 'auto', got {reference!r}")
     if reference != "auto" and not 0 <= int(reference) < count:
         raise ParameterError(f"reference must be a number from 0 to {count - 1}, got {reference}")
+    wrong = [name for name in OF_ONE_PAIR if keywords.get(name) is not None]
+    if wrong:
+        raise ParameterError(
+            f"{', '.join(wrong)} would mean another image in every pair of a stack; give band for all images, and "
+            "masks with the images (featreg.as_image(file, mask=...))"
+        )
     options = {"method": method, "model": model, "seed": int(seed), **keywords}
     how = {"executor": executor, "workers": workers, "scheduler": scheduler, "resume": resume, "cancel": cancel}
     return registered(Stack, given, reference, pairs, options, progress, how)

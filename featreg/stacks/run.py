@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 
 #: Further neighbours that are tried for an image that no pair leads to.
 SECOND_CHANCES = 3
+#: Keywords that say how an image is read.
+READING = ("nodata", "scale", "band")
 
 
 def registered(
@@ -74,6 +76,11 @@ def added(stack: Stack, image: Any, **how: Any) -> Stack:
     return _assembled(type(stack), work, stack.reference, pairs)
 
 
+def reading_of(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the keywords of `featreg.as_image` with which the images of a stack are read."""
+    return {name: options[name] for name in READING if options.get(name) is not None}
+
+
 class _Work:
     """The images of a stack and the pairs matched so far."""
 
@@ -81,7 +88,7 @@ class _Work:
         self, images: list[Any], options: Mapping[str, Any], progress: Progress | None, how: Mapping[str, Any]
     ) -> None:
         self.options, self.progress, self.how = dict(options), progress, dict(how)
-        reading = {name: options[name] for name in ("nodata", "scale") if options.get(name) is not None}
+        reading = reading_of(options)
         self.sources: list[Source] = [open_source(image, **reading) for image in images]
         self.images = [str(image) if isinstance(image, str | Path) else as_image(image, **reading) for image in images]
         self.names = [str(image) if isinstance(image, str | Path) else f"image {i}" for i, image in enumerate(images)]

@@ -50,7 +50,7 @@ def read_stack(path: Path, kind: type[Stack]) -> Stack:
         values: dict[str, Any] = json.loads(path.read_bytes())
         if values["kind"] != "stack" or values["schema_version"] != SCHEMA_VERSION:
             raise ValueError(f"its kind and version are {values['kind']!r} and {values['schema_version']!r}")
-        return kind(
+        made = kind(
             [str(name) for name in values["names"]],
             int(values["reference"]),
             (int(values["shape"][0]), int(values["shape"][1])),
@@ -65,9 +65,27 @@ def read_stack(path: Path, kind: type[Stack]) -> Stack:
             values["provenance"],
             [str(name) for name in values["names"]],
         )
+        _check(made)
+        return made
     except OSError as error:
         raise InputError(f"cannot read '{path}': {error.strerror or error}") from error
     except (ValueError, KeyError, TypeError, IndexError, FeatregError) as error:
         raise InputError(
             f"'{path}' is no stack of featreg ({error}); give the stack.json of `featreg stack`"
         ) from error
+
+
+def _check(stack: Stack) -> None:
+    """Raise a `ValueError` where the parts of a stack do not fit each other."""
+    count = len(stack.names)
+    columns = ("models", "status", "reasons", "standard_errors", "closure")
+    unequal = [name for name in columns if len(getattr(stack, name)) != count]
+    if unequal:
+        raise ValueError(f"it names {count} images and holds another number of {', '.join(unequal)}")
+    numbers = [stack.reference, *(jump.image for jump in stack.jumps)]
+    numbers += [n for pair in stack.pairs for n in (pair.first, pair.second)]
+    numbers += [n for loop in stack.loops for n in (loop.a, loop.b, loop.c)]
+    if not all(0 <= n < count for n in numbers):
+        raise ValueError(f"it numbers an image that is none of its {count}")
+    if stack.models[stack.reference] is None or not {"options", "pairs"} <= set(stack.provenance):
+        raise ValueError("its reference has no model, or the options of its pairs are missing")

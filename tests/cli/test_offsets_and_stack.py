@@ -82,4 +82,9 @@ def test_errors_of_a_stack(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert main(["stack", image, image, "-o", str(tmp_path), "--pairs", "rings"]) == 2
     assert "all, chain or a whole number" in capsys.readouterr().err
     assert main(["stack", image, "-o", str(tmp_path), "--add", "--pairs", "2"]) == 2
-    assert "--add keeps" in capsys.readouterr().err
+    assert "--add keeps the reference" in capsys.readouterr().err
+    for option in (["--model", "rigid"], ["--method", "orb"], ["--seed", "3"], ["--set", "threshold=2"]):
+        assert main(["stack", image, "-o", str(tmp_path), "--add", *option]) == 2
+        assert "--add keeps the options" in capsys.readouterr().err
+    assert main(["stack", image, image, "-o", str(tmp_path), "--cube", str(tmp_path / "cube.tif")]) == 2
+    assert "must end in .nc" in capsys.readouterr().err

@@ -45,7 +45,7 @@ def inner(field: Offsets, shape: tuple[int, int]) -> NDArray[np.bool_]:
 def test_a_glacier_is_followed_cell_by_cell(glacier: DisplacedPair, flow: Offsets) -> None:
     error = np.hypot(*errors(flow, glacier.displacement).T)
     # Within a window, the ice moves by 3 px more on one side than on the other.
-    assert np.median(error) < 0.25
+    assert np.median(error) < 0.2
     assert flow.good[inner(flow, glacier.reference.shape)].mean() > 0.9
     assert flow.x[0] == 7.5
     assert np.diff(flow.x).tolist() == [16.0] * (flow.x.size - 1)
@@ -54,8 +54,8 @@ def test_a_glacier_is_followed_cell_by_cell(glacier: DisplacedPair, flow: Offset
 def test_ellipses_hold_as_many_errors_as_they_say(glacier: DisplacedPair, flow: Offsets) -> None:
     error = errors(flow, glacier.displacement)
     squared = np.einsum("ni,nij,nj->n", error, np.linalg.inv(flow.covariance[flow.good]), error)
-    assert 0.60 < (squared < 2.279).mean() < 0.80
-    assert 0.88 < (squared < 5.991).mean() < 0.99
+    assert 0.64 < (squared < 2.279).mean() < 0.80
+    assert 0.89 < (squared < 5.991).mean() < 0.99
 
 
 def test_a_fault_stays_sharp() -> None:
@@ -63,7 +63,7 @@ def test_a_fault_stays_sharp() -> None:
     field = featreg.offsets(pair.reference, pair.secondary, window=48)
     far = np.abs(field.x - 239.5) > 48
     error = np.hypot(field.dx, field.dy - 8.0 * (field.x > 239.5))[:, far]
-    assert np.nanmedian(error) < 0.16
+    assert np.nanmedian(error) < 0.15
     rows = field.good.sum(axis=1) > 10
     # Between the last cell that stood still and the first that moved.
     steps = [(field.x[row < 4].max() + field.x[row > 4].min()) / 2 for row in field.dy[rows]]
@@ -116,7 +116,7 @@ def test_the_displacement_of_a_known_model_is_included(glacier: DisplacedPair) -
     there = np.stack([x, y], -1) @ pair.truth[:, :2].T + pair.truth[:, 2]
     error = np.hypot(x + field.dx - there[..., 0], y + field.dy - there[..., 1])[field.good]
     assert field.good.mean() > 0.4
-    assert np.median(error) < 0.15
+    assert np.median(error) < 0.13
     assert np.abs(field.dx[field.good]).max() > 20
 
 
@@ -132,7 +132,7 @@ def test_blocks_agree_with_the_whole(glacier: DisplacedPair, flow: Offsets) -> N
     field = featreg.offsets(glacier.reference, glacier.secondary, block=160, workers=1)
     both = field.good & flow.good
     assert both.sum() > 0.98 * flow.good.sum()
-    assert np.median(np.hypot(field.dx - flow.dx, field.dy - flow.dy)[both]) < 0.03
+    assert np.median(np.hypot(field.dx - flow.dx, field.dy - flow.dy)[both]) < 0.01
 
 
 def test_finished_blocks_are_taken_from_their_folder(glacier: DisplacedPair, tmp_path: Path) -> None:

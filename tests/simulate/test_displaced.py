@@ -36,3 +36,9 @@ def test_the_same_seed_gives_the_same_pair() -> None:
     assert first.secondary.tobytes() == second.secondary.tobytes()
     with pytest.raises(ParameterError, match="did you mean 'fault'"):
         displaced_pair("fautl")
+
+
+def test_a_displacement_that_no_image_can_show_is_refused() -> None:
+    for kind in ("glacier", "subsidence"):
+        with pytest.raises(ParameterError, match="folds"):
+            displaced_pair(kind, (64, 64), size=64.0)

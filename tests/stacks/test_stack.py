@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -129,6 +130,14 @@ def test_a_file_gives_the_stack_back(stack: Stack, tmp_path: Path) -> None:
     (tmp_path / "bad.json").write_text('{"kind": "stack"}')
     with pytest.raises(InputError, match="no stack of featreg"):
         Stack.from_json(tmp_path / "bad.json")
+    whole = json.loads((tmp_path / "stack.json").read_text())
+    damages: list[dict[str, Any]] = [
+        {"reference": 9}, {"status": ["ok"]}, {"provenance": {}}, {"jumps": [[7, 1.0, 0.0]]},
+    ]  # fmt: skip
+    for wrong in damages:
+        (tmp_path / "bad.json").write_text(json.dumps({**whole, **wrong}))
+        with pytest.raises(InputError, match="no stack of featreg"):
+            Stack.from_json(tmp_path / "bad.json")
 
 
 def test_a_cube(stack: Stack) -> None:
@@ -145,6 +154,8 @@ def test_errors_say_what_would_be_right(series: SimulatedSeries) -> None:
         featreg.register_stack(series.images, reference=7)
     with pytest.raises(ParameterError, match="'auto'"):
         featreg.register_stack(series.images, reference="best")
+    with pytest.raises(ParameterError, match="secondary_band would mean"):
+        featreg.register_stack(series.images, secondary_band="VV")
 
 
 def test_a_cube_as_a_file(stack: Stack, tmp_path: Path) -> None:
