@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from featreg.io.raster_source import RasterSource
     from featreg.types import BoolArray, FloatArray
 
-#: Side of the windows whose speckle is looked at, px, and the share of them that is taken for ground of one kind.
-SIDE, CALM = 9, 0.05
 #: Rows and columns of windows of the scene that are read for its mask and its looks, and their side.
 WINDOWS, WINDOW = 3, 384
 
@@ -70,7 +68,7 @@ def describe(
     -------
     A dict fit for JSON: ``file``, ``format``, ``bands`` [{name, dtype, width, height, role, states}], ``read`` (which
     band, None where one must be named), ``size`` {width, height}, ``samples`` {dtype, scale, told_by}, ``looks`` (the
-    equivalent number of independent looks of the calmest ground), ``without_data`` (share of pixels), ``place`` {kind,
+    independent looks that the most even ground shows), ``without_data`` (share of pixels), ``place`` {kind,
     accuracy_px, pixel_x, pixel_y, unit, crs, centre_lon, centre_lat, note}, ``will`` (what a match does with it).
 
     Raises
@@ -100,7 +98,7 @@ def describe(
             raise
         return found | {"read": None, "will": f"not be read as it is: {error}"}
     image, mask = _sampled(source)
-    looks = None if source.is_complex and image.size == 0 else _looks(image, mask)
+    looks = _looks(image, mask)
     head = source.head
     choice = {"one": "", "luminance": "luminance of red, green and blue", "iq": "complex samples of I and Q"}
     told = "stated" if scale else "its names and units" if head.first.said == source.known_scale else "its samples"
@@ -132,27 +130,16 @@ def _sampled(source: RasterSource) -> tuple[FloatArray, BoolArray]:
 
 
 def _looks(amplitude: FloatArray, mask: BoolArray) -> float | None:
-    """Equivalent number of looks: mean squared over variance of the intensity, of the calmest small windows.
-
-    The median over the calmest 5 % of the windows; texture lowers it, correlated neighbours raise it.
-    """
+    """As `featreg.sar.speckle.equivalent_looks`; None where nothing shows speckle."""
     import numpy as np
 
-    rows, cols = (n // SIDE for n in amplitude.shape)
-    if rows < 2 or cols < 2:
-        return None
+    from featreg.sar.speckle import equivalent_looks
+    from featreg.types import Image, read_only
 
-    def cells(array: FloatArray | BoolArray) -> Any:
-        cut = array[: rows * SIDE, : cols * SIDE].reshape(rows, SIDE, cols, SIDE)
-        return cut.transpose(0, 2, 1, 3).reshape(rows * cols, -1)
-
-    intensity = cells(amplitude * amplitude)[cells(mask).all(axis=1)]
-    mean, variance = intensity.mean(axis=1), intensity.var(axis=1)
-    ratio = (mean * mean)[variance > 0] / variance[variance > 0]
-    if len(ratio) < 20:
+    if not mask.any():
         return None
-    calm = np.sort(ratio)[-max(5, int(CALM * len(ratio))) :]
-    return round(float(np.median(calm)), 2)
+    looks = equivalent_looks(Image(read_only(amplitude.astype(np.float32)), read_only(mask)))
+    return round(looks, 2) if np.isfinite(looks) else None
 
 
 def _place(source: RasterSource) -> dict[str, Any] | None:

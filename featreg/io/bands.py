@@ -65,7 +65,7 @@ def choose(bands: Sequence[Band], asked: BandLike, source: str) -> Choice:
     if asked is None:
         return _only(bands, source)
     text = str(asked).strip()
-    if text.isdigit():
+    if text.isdecimal():
         if not 1 <= int(text) <= len(bands):
             count = f"{len(bands)} bands" if len(bands) > 1 else "one band"
             raise InputError(f"{source}: has {count}, band {text} was asked for; it holds {listing(bands)}")
@@ -123,7 +123,7 @@ def _pairs(bands: Sequence[Band], more: str) -> list[tuple[int, int]]:
     for k, band in enumerate(bands):
         words = _words(band.name)
         part = next((w for w in words if w in (*IN_PHASE, *QUADRATURE)), None)
-        if part is not None and (not more or more.lower() in words):
+        if part is not None and set(_words(more)) <= set(words):
             key = tuple(w for w in words if w != part)
             rest.setdefault(key, {})["i" if part in IN_PHASE else "q"] = k
     return [(found["i"], found["q"]) for found in rest.values() if len(found) == 2]
@@ -175,7 +175,10 @@ def name_of(bands: Sequence[Band], choice: Choice) -> str | None:
     first = bands[choice.bands[0]]
     if choice.how == "iq":
         words = [w for w in _words(first.name) if w not in IN_PHASE]
-        return f"iq:{words[0]}" if words and len(_pairs(bands, "")) > 1 else "iq"
+        if len(_pairs(bands, "")) < 2:
+            return "iq"
+        alone = [word for word in words if len(_pairs(bands, word)) == 1]
+        return f"iq:{alone[0] if alone else ' '.join(words)}"
     alike = sum(band.name.lower() == first.name.lower() for band in bands)
     if first.name and alike == 1 and not first.name.isdigit() and first.name.lower() not in ("iq", "rgb"):
         return first.name

@@ -97,8 +97,13 @@ class GdalReader:
 
     @property
     def files(self) -> Sequence[str]:
+        return [name for name in self.reached if not name.startswith("/vsi")]
+
+    @property
+    def reached(self) -> Sequence[str]:
+        """Names of all files that the image is made of, also those in archives and elsewhere."""
         with decoding(self.called, self.title), quiet():
-            return [name for name in self.dataset.files if not name.startswith("/vsi")]
+            return list(self.dataset.files)
 
     def geolocation(self, band: int) -> Geolocation | None:
         """Where the file says it lies, the same for all its bands."""
@@ -154,13 +159,29 @@ def within_folder(path: Path, reader: GdalReader) -> GdalReader:
         One lies elsewhere; the reader is closed then.
     """
     home = path.parent.resolve()
-    for file in reader.files:
-        if not Path(file).resolve().is_relative_to(home) and Path(file).resolve() != path.resolve():
+    for file in reader.reached:
+        inside = Path(file).resolve().is_relative_to(home) or Path(file).resolve() == path.resolve()
+        if file.startswith("/vsi") or not inside:
             reader.close()
             raise InputError(
                 f"{path}: its header reaches outside its folder ('{file[:80]}'), which is refused; put all files of "
                 "the image into one folder"
             )
+    return reader
+
+
+def within_archive(archive: str, reader: GdalReader) -> GdalReader:
+    """Return a reader whose files all lie in the archive of its header.
+
+    Raises
+    ------
+    InputError
+        One lies elsewhere; the reader is closed then.
+    """
+    for file in reader.reached:
+        if not file.startswith("/vsizip/"):
+            reader.close()
+            raise InputError(f"{archive}: a header in it reaches outside the archive ('{file[:80]}'), which is refused")
     return reader
 
 

@@ -28,6 +28,8 @@ LONGITUDE, LATITUDE = ("lon", "longitude", "long"), ("lat", "latitude")
 SYSTEMS = ("spatial_ref", "crs", "projection", "grid_mapping", "polar_stereographic", "transverse_mercator")
 #: Coordinates count as evenly spaced where none lies farther off than this share of a step.
 EVEN = 0.05
+#: Coordinates of an axis at most.
+LONGEST = 1 << 24
 #: Nodes along each axis taken from longitudes and latitudes of every pixel.
 NODES = 9
 
@@ -126,7 +128,7 @@ class GriddedReader:
                     (height, width),
                     _dtype_name(variable),
                     said=scale_in_words(variable.name.rpartition("/")[2], *words),
-                    nodata=_first(attributes, "_FillValue", "missing_value", "nodata"),
+                    nodata=_hole(variable),
                     gain=_or(number_of(attributes.get("scale_factor")), 1.0),
                     offset=_or(number_of(attributes.get("add_offset")), 0.0),
                 )
@@ -192,7 +194,9 @@ class GriddedReader:
             candidates += [path for path in self._in(folder) if path.rpartition("/")[2].lower() in names]
         for path in candidates:
             variable = self._variables.get(path)
-            if variable is not None and variable.shape == (length,) and variable.dtype.kind in "uif" and length > 1:
+            if variable is None or variable.shape != (length,) or not 1 < length <= LONGEST:
+                continue
+            if variable.dtype.kind in "uif":
                 values = np.asarray(variable.read((slice(None),)), np.float64)
                 gain, offset = (number_of(variable.attributes.get(n)) for n in ("scale_factor", "add_offset"))
                 values = values * _or(gain, 1.0) + _or(offset, 0.0)
@@ -287,6 +291,12 @@ def _even(values: FloatArray) -> float | None:
 
 def _first(attributes: Mapping[str, Any], *names: str) -> float | None:
     return next((n for name in names if (n := number_of(attributes.get(name))) is not None), None)
+
+
+def _hole(variable: Variable) -> float | None:
+    """The value of samples that are not data, as the samples are read."""
+    value = _first(variable.attributes, "_FillValue", "missing_value", "nodata")
+    return value + 256.0**variable.dtype.itemsize if value is not None and value < 0 and variable.unsigned else value
 
 
 def _or(value: float | None, other: float) -> float:

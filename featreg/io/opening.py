@@ -45,7 +45,7 @@ def open_reader(source: str | Path) -> Reader:
     head = check_file(name.path)
     if name.gdal is not None:
         check_utf8(name.path)
-        return GdalReader(name.absolute(), [name.gdal[0]], name.text)
+        return within_folder(name.path, GdalReader(name.absolute(), [name.gdal[0]], name.text))
     if not head:
         return _open_folder(name.path)
     return _open_file(name, head)

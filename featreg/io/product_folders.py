@@ -19,9 +19,10 @@ from xml.etree import ElementTree
 from featreg.errors import InputError
 from featreg.io.gdal_drivers import DRIVERS, driver_by_content
 from featreg.io.gdal_errors import decoding
-from featreg.io.gdal_reader import GdalReader, within_folder
+from featreg.io.gdal_reader import GdalReader, within_archive, within_folder
 from featreg.io.reader import Band, Raster, Reader
 from featreg.io.window import Window
+from featreg.io.xml_text import DoctypeError, root_of
 from featreg.types import Geolocation
 
 MANIFEST = "manifest.safe"
@@ -163,7 +164,9 @@ def open_product(tree: Tree) -> Reader | None:
         found = [n for n in names if pattern.fullmatch(posixpath.basename(n))]
         if len(found) == 1:
             reader = GdalReader(tree.gdal_name(found[0]), [driver], tree.called)
-            return within_folder(tree.folder / found[0], reader) if isinstance(tree, FolderTree) else reader
+            if isinstance(tree, FolderTree):
+                return within_folder(tree.folder / found[0], reader)
+            return within_archive(tree.called, reader)
     return None
 
 
@@ -186,9 +189,9 @@ def open_member(tree: Tree, name: str | None) -> Reader:
     place = tree.gdal_name(name)
     driver = driver_by_content(tree.content(name, 1024))
     if driver is not None:
-        return GdalReader(place, [driver.name], f"{tree.called}:{name}")
+        return within_archive(tree.called, GdalReader(place, [driver.name], f"{tree.called}:{name}"))
     beside = ("ENVI", "ISCE", "ROI_PAC", "EHdr")
-    return GdalReader(place, beside, f"{tree.called}:{name}")
+    return within_archive(tree.called, GdalReader(place, beside, f"{tree.called}:{name}"))
 
 
 def open_safe(tree: Tree, manifest: str) -> Reader:
@@ -201,10 +204,12 @@ def open_safe(tree: Tree, manifest: str) -> Reader:
     """
     content = tree.content(manifest, LARGEST_MANIFEST + 1)
     where = f"{tree.called}: its {MANIFEST}"
-    if len(content) > LARGEST_MANIFEST or b"<!DOCTYPE" in content or b"<!ENTITY" in content:
-        raise InputError(f"{where} is too large or has a DOCTYPE, which is refused")
     try:
-        root = ElementTree.fromstring(content)
+        if len(content) > LARGEST_MANIFEST:
+            raise InputError(f"{where} is larger than {LARGEST_MANIFEST >> 20} MB, which is refused")
+        root = root_of(content)
+    except DoctypeError as error:
+        raise InputError(f"{where} has a DOCTYPE, which is refused") from error
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise InputError(f"{where} is broken or cut short ({error}); a complete product is needed") from error
     home = posixpath.dirname(manifest)

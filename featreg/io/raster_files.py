@@ -91,6 +91,7 @@ def read_head(stamp: Stamp, band: BandLike) -> Head:
     dtype = "complex64" if choice.how == "iq" else first.dtype
     if reader.driver == "MATLAB":
         # It tells with the samples only whether they are complex.
+        check_plausible(source, reader, choice)
         dtype = read_choice(reader, choice).dtype
     called = name_of(reader.bands, choice) if name.dataset is None or reader.driver == "ZIP" else None
     return Head(
@@ -196,7 +197,8 @@ def scale_by_strips(
     name: str,
 ) -> str:
     """What the real samples of a scene of (H, W) are, told from four strips over it; `read` gives those of a window."""
-    height, width = shape
+    # A damaged header may state rows that no memory holds.
+    height, width = shape[0], min(shape[1], SAMPLE**2)
     rows = max(1, SAMPLE**2 // 4 // width)
     if height <= 4 * rows:
         rows = height

@@ -2,17 +2,39 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from xml.etree import ElementTree
 
 from featreg.errors import InputError
 from featreg.io.gdal_drivers import TOLD_BY_GDAL, driver_by_content
 from featreg.io.gdal_reader import GdalReader
+from featreg.io.xml_text import DoctypeError, root_of
 
 #: Bytes of the largest description, files it may name, virtual rasters that may rest on each other.
 LARGEST, MOST_FILES, DEEPEST = 16 << 20, 20_000, 4
 SOURCES = ("SimpleSource", "ComplexSource", "AveragedSource", "KernelFilteredSource")
 BANDS = (None, "VRTSourcedRasterBand", "VRTDerivedRasterBand", "VRTRawRasterBand")
+#: What is looked at below. GDAL takes these names in any case, an attribute for an element and the other way round.
+ELEMENTS = (
+    *(
+        "VRTDataset",
+        "VRTRasterBand",
+        "MaskBand",
+        *SOURCES,
+        "SourceFilename",
+        "SourceDataset",
+        "OpenOptions",
+        "Metadata",
+    ),
+    *("PixelFunctionCode", "PixelFunctionLanguage", "PixelFunctionArguments", "GeoLocTransformer"),
+)
+ATTRIBUTES = ("subClass", "relativeToVRT", "relativetoVRT", "key", "domain")
+#: Names that GDAL does not take for those of files: its own folders, XML, prefixes of drivers, addresses; and those
+#: whose blanks it would drop.
+OUTSIDE = re.compile(r"/vsi|<|\s|[A-Za-z][\w+.-]+:|.*\s\Z", re.DOTALL)
+#: Bytes of a file among which a virtual raster begins, as many as GDAL looks at and more.
+HEAD = 4096
 
 
 def is_vrt(head: bytes) -> bool:
@@ -32,6 +54,9 @@ def check_vrt(path: Path, depth: int = 0, folder: Path | None = None) -> None:
     if depth > DEEPEST:
         raise InputError(f"{path}: virtual rasters rest on each other more than {DEEPEST} deep; make one image of them")
     root = _parsed(path)
+    odd = next((name for element in root.iter() if (name := _odd(element))), "")
+    if odd:
+        raise InputError(f"{path}: is a virtual raster that spells '{odd[:40]}' oddly, which is refused; {_cure(path)}")
     kind = root.get("subClass")
     if root.tag != "VRTDataset" or kind is not None:
         raise InputError(
@@ -52,7 +77,7 @@ def check_vrt(path: Path, depth: int = 0, folder: Path | None = None) -> None:
         elif element.tag.endswith("Source") and element.tag not in SOURCES:
             raise InputError(f"{path}: has a source of the kind {element.tag}, which is refused; {_cure(path)}")
         elif element.tag in ("SourceFilename", "SourceDataset"):
-            names.add(((element.text or "").strip(), element.get("relativeToVRT", element.get("relativetoVRT")) == "1"))
+            names.add((element.text or "", element.get("relativeToVRT", element.get("relativetoVRT")) == "1"))
         elif element.tag in ("OpenOptions", "GeoLocTransformer", "Metadata") and _names_files(element):
             raise InputError(f"{path}: names files in its {element.tag}, which is refused; {_cure(path)}")
     if len(names) > MOST_FILES:
@@ -66,10 +91,9 @@ def _parsed(path: Path) -> ElementTree.Element:
         if path.stat().st_size > LARGEST:
             raise InputError(f"{path}: is a virtual raster of more than {LARGEST >> 20} MB; {_cure(path)}")
         content = path.read_bytes()
-        # Entities could name other files, or grow without end.
-        if b"<!DOCTYPE" in content or b"<!ENTITY" in content:
-            raise InputError(f"{path}: is a virtual raster with a DOCTYPE, which is refused; {_cure(path)}")
-        return ElementTree.fromstring(content)
+        return root_of(content)
+    except DoctypeError as error:
+        raise InputError(f"{path}: is a virtual raster with a DOCTYPE, which is refused; {_cure(path)}") from error
     except (OSError, ElementTree.ParseError, ValueError, LookupError, RecursionError) as error:
         raise InputError(f"{path}: the VRT file is broken or cut short ({error}); a complete file is needed") from error
 
@@ -80,12 +104,28 @@ def _names_files(element: ElementTree.Element) -> bool:
     return any(key.upper() in ("X_DATASET", "Y_DATASET", "GEOLOCATION", "RPC_DEM", "SUBDATASETS") for key in said)
 
 
+def _odd(element: ElementTree.Element) -> str:
+    """A name that GDAL takes for one that is looked at here, and this parser for another; "" where there is none."""
+    elements, attributes = ({name.lower() for name in names} for names in (ELEMENTS, ATTRIBUTES))
+    tag = str(element.tag)
+    if tag.startswith("{") or tag.lower() in attributes or (tag.lower() in elements and tag not in ELEMENTS):
+        return tag
+    if len({name.lower() for name in element.attrib}) < len(element.attrib):
+        return tag
+    for name in element.attrib:
+        known = name.lower() in attributes and name not in ATTRIBUTES
+        if name.startswith("{") or known or name.lower() in elements:
+            return name
+    return ""
+
+
 def _check_source(path: Path, home: Path, name: str, relative: bool, depth: int) -> None:
-    source = Path(name) if not relative and Path(name).is_absolute() else path.parent / name
+    # GDAL looks for a name that is not relative to the virtual raster in the working folder.
+    source = path.parent / name if relative else Path(name)
     try:
-        inside = bool(name) and source.resolve().is_relative_to(home) and not name.startswith(("/vsi", "<"))
+        inside = bool(name) and source.resolve().is_relative_to(home) and not OUTSIDE.match(name)
         there = inside and source.is_file()
-        head = source.read_bytes()[:512] if there and source.stat().st_size < 512 else _head(source) if there else b""
+        head = _head(source) if there else b""
     except (OSError, ValueError, RuntimeError) as error:
         raise InputError(f"{path}: names a file that cannot be looked at ({error})") from error
     if not inside:
@@ -104,7 +144,7 @@ def _check_source(path: Path, home: Path, name: str, relative: bool, depth: int)
 
 def _head(source: Path) -> bytes:
     with source.open("rb") as file:
-        return file.read(512)
+        return file.read(HEAD)
 
 
 def _cure(path: Path) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,12 @@ from numpy.typing import NDArray
 
 from featreg.errors import InputError
 from featreg.io import as_image
+from featreg.io.bands import Choice, choose, name_of
+from featreg.io.gdal_reader import within_archive, within_folder
+from featreg.io.raster_files import SAMPLE, scale_by_strips
 from featreg.io.raster_source import RasterSource, Window, open_source
+from featreg.io.reader import Band, Raster
+from featreg.io.xml_text import DoctypeError, root_of
 
 rasterio = pytest.importorskip("rasterio")
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
@@ -314,6 +320,86 @@ def test_virtual_rasters_that_do_more_are_refused(change: dict[str, Any], text: 
         as_image(path)
 
 
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("<SourceFilename", "<sourcefilename"),
+        ("<SourceFilename", '<SourceFilename xmlns="a"'),
+        ("<SourceFilename", '<SourceFilename RELATIVETOVRT="0"'),
+        ("<SourceFilename", '<SourceFilename relativetoVRT="0"'),
+        ("<SimpleSource>", '<SimpleSource SourceFilename="SECRET">'),
+        ("<VRTRasterBand", "<subClass>VRTWarpedDataset</subClass><VRTRasterBand"),
+    ],
+)
+def test_virtual_rasters_that_gdal_reads_otherwise_are_refused(old: str, new: str, tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    for name in ("secret.tif", "in/a.tif"):
+        write(tmp_path / name, AMPLITUDE, "GTiff")
+    path = vrt(tmp_path / "in" / "b.vrt", "a.tif")
+    as_image(path)
+    text = path.read_text()
+    assert old in text
+    text = text.replace(old, new.replace("SECRET", str(tmp_path / "secret.tif")))
+    path.write_text(text.replace("</SourceFilename>", f"</{new[1:15]}>") if new[1:15].islower() else text)
+    with pytest.raises(InputError, match=r"spells '.*' oddly"):
+        as_image(path)
+
+
+def test_a_name_of_the_working_folder_is_none_of_the_virtual_raster(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for folder in ("in", "here"):
+        (tmp_path / folder).mkdir()
+        write(tmp_path / folder / "a.tif", AMPLITUDE, "GTiff")
+    path = vrt(tmp_path / "in" / "b.vrt", "a.tif", relative=0)
+    monkeypatch.chdir(tmp_path / "here")
+    with pytest.raises(InputError, match="reaches outside its folder"):
+        as_image(path)
+    monkeypatch.chdir(tmp_path / "in")
+    np.testing.assert_array_equal(as_image(path).pixels, AMPLITUDE)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+def test_a_doctype_is_seen_in_every_encoding(encoding: str) -> None:
+    text = f'<?xml version="1.0" encoding="{encoding}"?><!DOCTYPE a [<!ENTITY b "cc">]><a>&b;</a>'
+    with pytest.raises(DoctypeError):
+        root_of(text.encode(encoding))
+    assert root_of(b"<a>c</a>").text == "c"
+
+
+def test_a_pair_of_parts_is_asked_for_by_what_only_it_has(tmp_path: Path) -> None:
+    names = [f"{part}_IW{swath}_{name}" for swath in (1, 2) for name in ("VV", "VH") for part in "iq"]
+    bands = [Band(name, (H, W), "float32") for name in names]
+    for k in range(4):
+        choice = Choice("iq", (2 * k, 2 * k + 1))
+        asked = name_of(bands, choice)
+        assert choose(bands, asked, "a") == choice
+    assert name_of(bands[:4], Choice("iq", (0, 1))) == "iq:vv"
+    with pytest.raises(InputError, match="has no band '²'"):
+        choose(bands, "²", "a")
+
+
+def test_a_header_inside_an_archive_leads_nowhere_else() -> None:
+    reader: Any = SimpleNamespace(reached=["/vsizip/{a.zip}/b.pix", "/tmp/secret"], close=lambda: None)
+    with pytest.raises(InputError, match="reaches outside the archive"):
+        within_archive("a.zip", reader)
+    reader.reached = reader.reached[:1]
+    assert within_archive("a.zip", reader) is reader
+    with pytest.raises(InputError, match="reaches outside its folder"):
+        within_folder(Path("a.pix"), reader)
+
+
+def test_the_scale_is_told_from_no_more_than_memory_holds() -> None:
+    read = []
+
+    def of(window: Window) -> Raster:
+        read.append(window.width * window.height)
+        return Raster(np.ones((4, 4), np.float32), "float32")
+
+    assert scale_by_strips((5, 10**12), of, None, lambda window: None, "a") == "amplitude"
+    assert sum(read) <= 5 * SAMPLE**2
+
+
 def test_warped_virtual_rasters_and_doctypes_are_refused(tmp_path: Path) -> None:
     (tmp_path / "a.vrt").write_text('<VRTDataset rasterXSize="50" rasterYSize="50" subClass="VRTWarpedDataset"/>')
     with pytest.raises(InputError, match=r"kind VRTWarpedDataset.*gdal_translate a.vrt a.tif"):
@@ -412,11 +498,13 @@ def test_unsigned_numbers_of_classic_netcdf(tmp_path: Path) -> None:
         file.createDimension("y", H)
         file.createDimension("x", W)
         band = file.createVariable("Band1", "b", ("y", "x"))
-        band[:] = BYTES.view(np.int8)
+        band[:] = np.where(np.arange(H)[:, None] < 7, 255, BYTES).astype(np.uint8).view(np.int8)
         band._Unsigned = "true"
+        band._FillValue = np.int8(-1)
     image = as_image(tmp_path / "a.nc")
     assert image.source_dtype == "uint8"
-    np.testing.assert_array_equal(image.pixels, BYTES)
+    np.testing.assert_array_equal(image.mask[:, 0], np.arange(H) >= 7)
+    np.testing.assert_array_equal(image.pixels[7:], BYTES[7:])
 
 
 def test_a_header_that_states_more_than_its_bytes_hold(tmp_path: Path) -> None:

@@ -84,6 +84,8 @@ def test_radarsat_2(name: str, tmp_path: Path) -> None:
     for given in (tmp_path / "in" / "product.xml", tmp_path / "in"):
         with pytest.raises(InputError, match="reaches outside its folder"):
             as_image(given)
+    with pytest.raises(InputError, match="reaches outside its folder"):
+        as_image(f"RADARSAT_2_CALIB:SIGMA0:{tmp_path}/in/product.xml", band="HV")
     (tmp_path / "in" / "product.xml").unlink()
     with pytest.raises(InputError, match=r"has 2 bands.*1 'HH' .*2 'HV'"):
         as_image(folder)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.polynomial.polynomial import polyval
 
 from featreg.errors import InputError
+from featreg.io.xml_text import DoctypeError, root_of
 from featreg.types import FloatArray
 
 LIGHT = 299_792_458.0
@@ -86,11 +87,11 @@ def parsed(path: str | Path, content: bytes | None = None) -> ElementTree.Elemen
         text = Path(path).read_bytes() if content is None else content
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-    if b"<!ENTITY" in text or b"<!DOCTYPE" in text:
-        raise InputError(f"{path}: defines entities of its own, which no annotation does")
     try:
-        return ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
+        return root_of(text)
+    except DoctypeError as error:
+        raise InputError(f"{path}: defines entities of its own, which no annotation does") from error
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise InputError(f"{path}: is no XML ({error})") from error
 
 

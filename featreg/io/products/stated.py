@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,6 +11,9 @@ from typing import Any
 
 from featreg.io.products.capella import metadata_of, sensor_of_capella
 from featreg.io.products.sentinel1 import LARGEST, annotation_name, sensor_of_annotation
+
+#: A file in an archive, whose name stands in braces where this package gives it to GDAL.
+ARCHIVED = re.compile(r"/vsizip/(?:\{(.+?)\}|(.+?\.zip))/(.+)", re.IGNORECASE)
 
 logger = logging.getLogger(__name__)
 
@@ -55,9 +59,10 @@ def _found(name: str, tags: Mapping[str, str]) -> dict[str, Any] | None:
 
 def _content(name: str) -> bytes | None:
     """The bytes of a file, in an archive or not; None where there is none."""
-    archive, _, inside = name.removeprefix("/vsizip/").partition(".zip/")
-    if name.startswith("/vsizip/") and inside:
-        with zipfile.ZipFile(f"{archive.replace('{', '')}.zip") as opened:
+    found = ARCHIVED.fullmatch(name)
+    if found is not None:
+        inside = found[3]
+        with zipfile.ZipFile(found[1] or found[2]) as opened:
             if inside not in opened.namelist() or opened.getinfo(inside).file_size > LARGEST:
                 return None
             return opened.read(inside)

@@ -125,6 +125,8 @@ class TestSentinel1:
             archive.write(folder / "annotation" / "s1a-vv.xml", "S1A.SAFE/annotation/s1a-vv.xml")
         inside = f"/vsizip/{tmp_path}/S1A.zip/S1A.SAFE/measurement/s1a-vv.tiff"
         assert stated_sensor(inside, {}, SHAPE) == plain
+        braced = f"/vsizip/{{{tmp_path}/S1A.zip}}/S1A.SAFE/measurement/s1a-vv.tiff"
+        assert stated_sensor(braced, {}, SHAPE) == plain
         assert stated_sensor(inside.replace("s1a-vv", "other"), {}, SHAPE) is None
         assert stated_sensor(str(folder / "measurement" / "other.tiff"), {}, SHAPE) is None
 
