@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.interfaces import Model
+from featreg.pipeline.aligned import MOST_SIDE, remapped
 from featreg.sar.correlation import Peaks, local_correlations, peaks
 from featreg.sar.speckle import despeckled
 from featreg.types import BoolArray, FloatArray, Image, IntArray
@@ -203,16 +204,14 @@ def sampled(view: F32, model: Model, shape: tuple[int, int], stride: int) -> F32
 
     size = (shape[1] // stride, shape[0] // stride)
     matrix = model.matrix
-    if matrix is not None and np.array_equal(matrix[2], [0, 0, 1]):
+    if matrix is not None and np.array_equal(matrix[2], [0, 0, 1]) and max(*size, *view.shape) <= MOST_SIDE:
         middle = (stride - 1) / 2
         into = (matrix @ [[stride, 0, middle], [0, stride, middle], [0, 0, 1]])[:2]
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         return np.asarray(cv2.warpAffine(view, into, size, flags=flags, borderMode=cv2.BORDER_REPLICATE), np.float32)
     across, down = (np.arange(n, dtype=np.float64) * stride + (stride - 1) / 2 for n in size)
-    at = model(np.stack(np.meshgrid(across, down), -1).reshape(-1, 2)).reshape(*size[::-1], 2).astype(np.float32)
-    return np.asarray(
-        cv2.remap(view, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32
-    )
+    at = model(np.stack(np.meshgrid(across, down), -1).reshape(-1, 2)).reshape(*size[::-1], 2)
+    return np.asarray(remapped(view, at, cv2.INTER_LINEAR, cv2.BORDER_REPLICATE), np.float32)
 
 
 def contrast(view: F32, valid: BoolArray) -> F32:
@@ -261,13 +260,13 @@ def _covered(mask: BoolArray, model: Model, shape: tuple[int, int]) -> BoolArray
     framed = np.zeros((mask.shape[0] + 2, mask.shape[1] + 2), np.float32)
     framed[1:-1, 1:-1] = mask
     matrix = model.matrix
-    if matrix is not None and np.array_equal(matrix[2], [0, 0, 1]):
+    if matrix is not None and np.array_equal(matrix[2], [0, 0, 1]) and max(*shape, *framed.shape) <= MOST_SIDE:
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         into = matrix[:2] + np.array([[0, 0, 1], [0, 0, 1]])
         return np.asarray(cv2.warpAffine(framed, into, shape[::-1], flags=flags), np.float32) > 0.999
     x, y = np.meshgrid(np.arange(shape[1], dtype=np.float64), np.arange(shape[0], dtype=np.float64))
-    at = (model(np.column_stack([x.ravel(), y.ravel()])) + 1).reshape(*shape, 2).astype(np.float32)
-    return np.asarray(cv2.remap(framed, at[..., 0], at[..., 1], cv2.INTER_LINEAR), np.float32) > 0.999
+    at = (model(np.column_stack([x.ravel(), y.ravel()])) + 1).reshape(*shape, 2)
+    return np.asarray(remapped(framed, at, cv2.INTER_LINEAR, cv2.BORDER_CONSTANT), np.float32) > 0.999
 
 
 def _better(found: Peaks, at_model: FloatArray) -> BoolArray:

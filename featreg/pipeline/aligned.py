@@ -19,6 +19,8 @@ F32 = NDArray[np.float32]
 MARGIN = 4
 #: Over so many px a model is taken as linear.
 STEP_PX = 8.0
+#: OpenCV resamples images of at most so many pixels a side; parts of a larger one have so many, px.
+MOST_SIDE, PART_SIDE = 32_000, 4_096
 
 
 def resampled(view: F32, model: Model, shape: tuple[int, int]) -> F32:
@@ -34,11 +36,32 @@ def warped(view: NDArray[Any], model: Model, shape: tuple[int, int], flags: int,
 
     size = (shape[1], shape[0])
     matrix = model.matrix
-    if matrix is not None and np.array_equal(matrix[2], [0, 0, 1]):
+    if matrix is not None and np.array_equal(matrix[2], [0, 0, 1]) and max(*shape, *view.shape) <= MOST_SIDE:
         return cv2.warpAffine(view, matrix[:2], size, flags=flags | cv2.WARP_INVERSE_MAP, borderMode=border)
     x, y = np.meshgrid(np.arange(shape[1], dtype=np.float64), np.arange(shape[0], dtype=np.float64))
-    grid = model(np.column_stack([x.ravel(), y.ravel()])).reshape(*shape, 2).astype(np.float32)
-    return cv2.remap(view, grid[..., 0], grid[..., 1], flags, borderMode=border)
+    return remapped(view, model(np.column_stack([x.ravel(), y.ravel()])).reshape(*shape, 2), flags, border)
+
+
+def remapped(view: NDArray[Any], at: FloatArray, flags: int, border: int) -> NDArray[Any]:
+    """Return a map at (H, W, 2) positions; sides beyond those that OpenCV takes part by part."""
+    import cv2
+
+    if max(*at.shape, *view.shape) <= MOST_SIDE:
+        grid = at.astype(np.float32)
+        return cv2.remap(view, grid[..., 0], grid[..., 1], flags, borderMode=border)
+    out = np.empty(at.shape[:2], view.dtype)
+    last = np.array(view.shape[::-1]) - 1
+    for top in range(0, at.shape[0], PART_SIDE):
+        for left in range(0, at.shape[1], PART_SIDE):
+            here = slice(top, top + PART_SIDE), slice(left, left + PART_SIDE)
+            part = np.nan_to_num(at[here], nan=-PART_SIDE)
+            # Two pixels more for the interpolation; what lies outside the map sees its rim.
+            x0, y0 = np.clip(np.floor(part.min(axis=(0, 1))) - 2, 0, last).astype(int).tolist()
+            x1, y1 = np.clip(np.ceil(part.max(axis=(0, 1))) + 2, 0, last).astype(int).tolist()
+            grid = (part - [x0, y0]).astype(np.float32)
+            piece = np.ascontiguousarray(view[y0 : y1 + 1, x0 : x1 + 1])
+            out[here] = cv2.remap(piece, grid[..., 0], grid[..., 1], flags, borderMode=border)
+    return out
 
 
 def halved(image: F32) -> F32:

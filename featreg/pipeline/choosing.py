@@ -56,7 +56,8 @@ def in_order(
     pipelines, probe : those made for unlike images first where the images are; the ``looks`` of both, and ``unlike``
     """
     looks = equivalent_looks(reference), equivalent_looks(secondary)
-    unlike = max(looks) >= UNLIKE * min(looks)
+    # Two that show no speckle are of one kind: both are infinite.
+    unlike = looks[0] != looks[1] and max(looks) >= UNLIKE * min(looks)
     ordered = sorted(pipelines, key=lambda one: unlike and not PRESETS[one.name].for_unlike)
     return ordered, {"looks": [round(one, 2) for one in looks], "unlike": unlike}
 

@@ -159,7 +159,8 @@ def located(draft: Draft, found: Matches, n_features: int) -> Draft:
             known = inverse_variances(found.covariance[near])
             refit, weights = irls(type(model), here, there, weights=known, scale_px=LOCATED_SCALE_PX, iterations=ROUNDS)
     if isinstance(refit, FailedFit):
-        return _appended(draft, "locate", found)
+        # Without a fit nothing tells the factor of the covariances.
+        return _appended(draft, "locate", replace(found, covariance=None))
     used = near[weights > 0]
     here, there = found.reference_xy, found.secondary_xy
     covariance = found.covariance

@@ -67,8 +67,9 @@ class Kernel:
     def _first(self, values: tuple[Any, ...]) -> Any:
         """The first call with arguments of these kinds."""
         with _lock:
-            found = None
-            if not any(bound.fits(values) for bound in self._bound):
+            # Another thread may have bound it since.
+            found = next((bound for bound in self._bound if bound.fits(values)), None)
+            if found is None:
                 found = prepared(self, key_of(values))
                 if found is not None:
                     self._bound = (*self._bound, found)

@@ -103,6 +103,14 @@ def test_unlike_images_are_given_to_the_method_for_them_first() -> None:
     assert {one.name for one in ordered} == set(PRESETS["auto"].methods)
 
 
+def test_two_images_without_speckle_are_alike() -> None:
+    rng = np.random.default_rng(0)
+    flat = [as_image((1000 + 1e-4 * rng.normal(size=(100, 100))).astype(np.float32)) for _ in range(2)]
+    ordered, probe = in_order(assemble_all("auto"), *flat)
+    assert probe == {"looks": [np.inf, np.inf], "unlike": False}
+    assert [one.name for one in ordered] == list(PRESETS["auto"].methods)
+
+
 def test_looks_of_speckle_without_texture() -> None:
     rng = np.random.default_rng(0)
     for looks in (1, 2, 4, 16):

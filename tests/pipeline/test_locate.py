@@ -146,6 +146,8 @@ def test_the_consensus_stays_where_little_is_located(pair: SimulatedPair) -> Non
     assert after.model is draft.model
     np.testing.assert_array_equal(after.inliers, np.arange(112) < 100)
     assert after.stages["locate"].sum() == 12
+    # They are known up to a factor, which no fit has told.
+    assert after.matches.covariance is None
 
 
 def test_blocks_locate_as_whole_images_do_and_keep_it(tmp_path: Path) -> None:

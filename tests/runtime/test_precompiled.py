@@ -62,6 +62,28 @@ def test_arguments_of_another_kind_are_no_call_of_it() -> None:
     assert precompiled.prepared(kernel, ("f4:1",)) is None
 
 
+def test_a_kernel_that_another_thread_bound_meanwhile_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two threads make the first call: the second waits for the first, and must not go to numba."""
+
+    @jit.compiled
+    def kernel(value: float) -> float:
+        return -value
+
+    class Ready:
+        """Stands for machine code."""
+
+        def fits(self, values: tuple[Any, ...]) -> bool:
+            return True
+
+        def __call__(self, values: tuple[Any, ...]) -> float:
+            return float(10 * values[0])
+
+    held: Any = kernel
+    monkeypatch.setattr(jit, "_jit", lambda *_: pytest.fail("numba was asked"))
+    monkeypatch.setattr(held, "_bound", (Ready(),))
+    assert held._first((2.0,)) == 20.0
+
+
 def test_kinds_of_arguments() -> None:
     image = np.zeros((4, 6), np.float32)
     values = (image, image[:, ::2], 3, np.int64(3), 2.0, True, np.float32(1), np.zeros(2, np.bool_))
