@@ -225,6 +225,14 @@ class RangeDopplerSensor(Sensor):
         height, width = (int(n) for n in self.shape)
         put(self, "shape", (height, width))
         check("look", self.look, Look)
+        seen = self._time(np.array([0.0, height - 1.0]))
+        # As far as `zero_doppler` looks for a point: an interval beyond either end.
+        earliest, latest = 2 * self.times[0] - self.times[1], 2 * self.times[-1] - self.times[-2]
+        if not earliest <= seen.min() <= seen.max() <= latest:
+            raise InputError(
+                f"the image was seen from {seen.min():.6g} to {seen.max():.6g} s, and the state vectors of its orbit "
+                f"reach from {self.times[0]:.6g} to {self.times[-1]:.6g} s: they must cover it"
+            )
 
     def __repr__(self) -> str:
         return f"RangeDopplerSensor({self.shape[1]} x {self.shape[0]} px, {len(self.times)} state vectors, {self.look})"

@@ -195,12 +195,21 @@ def read_choice(reader: Reader, choice: Choice, window: Window | None = None) ->
     for part in parts[1:]:
         if part.mask is not None:
             mask = part.mask if mask is None else mask & part.mask
-    whole = replace(first, mask=mask, gain=1.0, offset=0.0, said=None)
+    whole = replace(first, mask=mask, nodata=_scaled(first), gain=1.0, offset=0.0, said=None)
     if choice.how == "iq":
         samples = np.empty(first.samples.shape, np.complex64)
         samples.real, samples.imag = physical(parts[0]), physical(parts[1])
         return replace(whole, samples=samples, dtype="complex64")
     return replace(whole, samples=luminance([physical(part) for part in parts]), said=first.said)
+
+
+def _scaled(raster: Raster) -> float | None:
+    """The nodata value as `physical` leaves it among the samples."""
+    kind = raster.samples.dtype
+    if raster.nodata is None or (raster.gain, raster.offset) == (1.0, 0.0):
+        return raster.nodata
+    value = np.array([raster.nodata], kind if kind.kind == "f" else np.float64)
+    return float((value * raster.gain + raster.offset)[0])
 
 
 def luminance(colours: Sequence[NDArray[Any]]) -> NDArray[Any]:

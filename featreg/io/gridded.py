@@ -161,7 +161,14 @@ class GriddedReader:
             except InputError as error:
                 logger.warning("%s: %s", self.called, error)
                 return located
-            return located if sensor is None else replace(located or Geolocation(), sensor=sensor)
+            if sensor is None:
+                return located
+            if tuple(sensor["shape"]) != self.bands[band].shape:
+                logger.warning(
+                    "%s: the metadata of the product describe an image of another size and are left out", self.called
+                )
+                return located
+            return replace(located or Geolocation(), sensor=sensor)
 
     def _located(self, image: Variable) -> Geolocation | None:
         height, width = image.shape[-2:]

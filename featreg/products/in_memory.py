@@ -11,6 +11,7 @@ from featreg.errors import InputError
 from featreg.io import ImageLike, as_image
 from featreg.io.bands import BandLike
 from featreg.io.data_arrays import DataArrayReader, is_data_array
+from featreg.io.raster_source import located_source
 from featreg.products.data_arrays import blanked, warped_data_array
 from featreg.products.resample import model_of, resample, stated_shape
 from featreg.results.registration import Registration
@@ -84,7 +85,7 @@ def _reference_shape(registration: Registration, like: ImageLike | tuple[int, in
     if isinstance(like, Image):
         return like.shape
     if isinstance(like, str | Path):
-        return as_image(like).shape
+        return located_source(like).shape
     if is_data_array(like):
         return DataArrayReader(like).shape
     if like is not None:

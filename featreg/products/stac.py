@@ -52,14 +52,14 @@ def acquired(text: str) -> dict[str, Any]:
     """
     try:
         moments = [datetime.fromisoformat(part.strip()) for part in str(text).split("/")]
-    except ValueError:
-        moments = []
-    if len(moments) not in (1, 2):
+        known = [moment.replace(tzinfo=moment.tzinfo or UTC).astimezone(UTC) for moment in moments]
+    except (ValueError, OverflowError):
+        known = []
+    if len(known) not in (1, 2):
         raise ParameterError(
             f"a STAC item says when its data were acquired: a moment as 2024-05-01T05:11:20Z is needed, or START/END, "
             f"got '{text}'"
         )
-    known = [moment.replace(tzinfo=moment.tzinfo or UTC).astimezone(UTC) for moment in moments]
     if known[-1] < known[0]:
         raise ParameterError(f"'{text}' ends before it begins")
     said = [moment.isoformat().replace("+00:00", "Z") for moment in known]

@@ -317,3 +317,13 @@ class TestPairInBlocks:
         # Rows of a SICD are range.
         middle = np.array([[300.0, 320.0]])
         np.testing.assert_allclose((model(middle) - model.transfer(middle))[0], pair.bias[::-1], atol=0.05)
+
+
+def test_an_orbit_of_another_time_locates_nothing() -> None:
+    shape = (300, 400)
+    way = RangeDoppler.over((12.0, 47.0), shape, incidence_deg=35.0, heading_deg=-12.0, pixel=3.0, height=400.0)
+    values = way.sensor(shape, 400.0).to_dict()
+    assert sensor_from_dict(values).image_to_ground(np.array([[9.0, 9.0]]), 400.0).shape == (1, 2)
+    values["times"] = [time - 400.0 for time in values["times"]]
+    with pytest.raises(InputError, match="must cover it"):
+        sensor_from_dict(values)

@@ -379,6 +379,18 @@ def test_a_pair_of_parts_is_asked_for_by_what_only_it_has(tmp_path: Path) -> Non
         choose(bands, "²", "a")
 
 
+@pytest.mark.parametrize("dtype", ["int16", "float32"])
+def test_parts_that_are_scaled_keep_their_holes(dtype: str, tmp_path: Path) -> None:
+    parts = np.stack([COMPLEX.real, COMPLEX.imag]).astype(dtype)
+    parts[:, :7] = -9999
+    path = write(tmp_path / "a.tif", parts, "GTiff", names=["i", "q"], nodata=-9999)
+    with rasterio.open(path, "r+") as dataset:
+        dataset.scales, dataset.offsets = (0.001, 0.001), (0.0, 0.0)
+    image = as_image(path, band="iq")
+    np.testing.assert_array_equal(image.mask[:, 0], np.arange(H) >= 7)
+    np.testing.assert_allclose(image.pixels[7:], COMPLEX[7:] * 0.001, rtol=1e-6)
+
+
 def test_a_header_inside_an_archive_leads_nowhere_else() -> None:
     reader: Any = SimpleNamespace(reached=["/vsizip/{a.zip}/b.pix", "/tmp/secret"], close=lambda: None)
     with pytest.raises(InputError, match="reaches outside the archive"):

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rasterio
 from numpy.typing import NDArray
 
 from featreg.errors import InputError, ParameterError
@@ -225,6 +226,11 @@ def test_warp_knows_the_reference_from_like(tmp_path: Path) -> None:
     np.save(tmp_path / "ref.npy", made(30, 50).pixels)
     for like in ((30, 50), made(30, 50), np.zeros((30, 50)), tmp_path / "ref.npy"):
         np.testing.assert_array_equal(warp(reg, made(), like=like), made().pixels[:30, :50])
+    # Of the reference its size alone is wanted, whichever band was matched.
+    size: dict[str, Any] = {"driver": "GTiff", "width": 50, "height": 30, "count": 2, "dtype": "uint8"}
+    with rasterio.open(tmp_path / "ref.tif", "w", transform=rasterio.Affine.translation(9, 9), **size):
+        pass
+    np.testing.assert_array_equal(warp(reg, made(), like=tmp_path / "ref.tif"), made().pixels[:30, :50])
     with pytest.raises(InputError, match="like="):
         warp(reg, made())
     with pytest.raises(InputError, match="like must be"):

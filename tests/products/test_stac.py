@@ -80,7 +80,7 @@ def test_times_are_stated_and_understood() -> None:
         "datetime": None, "start_datetime": "2024-05-01T05:11:20Z", "end_datetime": "2024-05-01T05:11:45Z",
     }  # fmt: skip
     assert acquired("2024-05-01") == {"datetime": "2024-05-01T00:00:00Z"}
-    for wrong in ("yesterday", "", "2024-05-01/2024-04-01", "a/b/c"):
+    for wrong in ("yesterday", "", "2024-05-01/2024-04-01", "a/b/c", "0001-01-01T00:00:00+05:00"):
         with pytest.raises(ParameterError, match=r"is needed, or START/END|ends before it begins"):
             acquired(wrong)
 

@@ -13,6 +13,8 @@ from featreg.types import FloatArray
 
 #: Metres (three standard errors) by which orbit, timing and atmosphere put a pixel off.
 ACCURACY_M = 15.0
+#: Numbers of one of its tables at most.
+LONGEST = 1 << 24
 #: Where the samples of an RSLC stand, and the part of it that belongs to them.
 SAMPLES = re.compile(r"/?(science/[LS]SAR/(?:RSLC|SLC))/swaths/frequency([AB])/[HV]{2}")
 
@@ -32,20 +34,21 @@ def sensor_of_nisar(file: Any, dataset: str) -> dict[str, Any] | None:
         return None
     root, frequency = found.groups()
     try:
-        swath = file[f"{root}/swaths"]
-        lines, own = swath["zeroDopplerTime"], swath[f"frequency{frequency}"]
-        ranges = np.asarray(own["slantRange"], np.float64)
+        lines = _inside(file, f"{root}/swaths/zeroDopplerTime")
+        ranges = np.asarray(_inside(file, f"{root}/swaths/frequency{frequency}/slantRange"), np.float64)
         rows = np.asarray(lines, np.float64)
-        orbit = file[f"{root}/metadata/orbit"]
+        when, position, velocity = (
+            _inside(file, f"{root}/metadata/orbit/{name}") for name in ("time", "position", "velocity")
+        )
         epoch = _epoch(lines)
-        times = np.asarray(orbit["time"], np.float64) + float(seconds([_epoch(orbit["time"])], epoch)[0])
+        times = np.asarray(when, np.float64) + float(seconds([_epoch(when)], epoch)[0])
         kept = thinned(times, float(rows[0]), float(rows[-1]))
-        identification = file[f"{root.rpartition('/')[0]}/identification/lookDirection"]
+        identification = _inside(file, f"{root.rpartition('/')[0]}/identification/lookDirection")
         return {
             "type": "range-doppler",
             "times": times[kept].tolist(),
-            "positions": np.asarray(orbit["position"], np.float64)[kept].tolist(),
-            "velocities": np.asarray(orbit["velocity"], np.float64)[kept].tolist(),
+            "positions": np.asarray(position, np.float64)[kept].tolist(),
+            "velocities": np.asarray(velocity, np.float64)[kept].tolist(),
             "first_line_time": float(rows[0]),
             "line_interval": _even(rows, "zeroDopplerTime"),
             "near_range": float(ranges[0]),
@@ -55,10 +58,23 @@ def sensor_of_nisar(file: Any, dataset: str) -> dict[str, Any] | None:
             "accuracy_m": ACCURACY_M,
             "epoch": epoch,
         }
-    except (KeyError, ValueError, TypeError, IndexError) as error:
+    except (KeyError, ValueError, TypeError, IndexError, AttributeError) as error:
         raise InputError(
             f"{dataset}: the RSLC lacks what says where it lies ({type(error).__name__}: {error})"
         ) from error
+
+
+def _inside(file: Any, path: str) -> Any:
+    """A dataset whose samples lie in the file itself: no link to another file is followed."""
+    part = file
+    for name in path.split("/"):
+        link = part.get(name, getlink=True)
+        if link is None or type(link).__name__ != "HardLink":
+            raise KeyError(f"{path} is not in the file itself")
+        part = part[name]
+    if part.external or part.is_virtual or part.size > LONGEST:
+        raise ValueError(f"{path} lies in another file or is too long")
+    return part
 
 
 def _even(values: FloatArray, name: str) -> float:

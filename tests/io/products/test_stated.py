@@ -189,6 +189,25 @@ class TestNisar:
             with pytest.raises(InputError, match="lacks what says where it lies"):
                 sensor_of_nisar(file, "/science/LSAR/RSLC/swaths/frequencyB/HH")
 
+    def test_no_link_leads_to_another_file(self, path: Path, tmp_path: Path) -> None:
+        h5py = pytest.importorskip("h5py")
+        name = "science/LSAR/RSLC/metadata/orbit"
+        with h5py.File(path, "a") as file, h5py.File(tmp_path / "other.h5", "w") as other:
+            file.copy(file[name], other, "orbit")
+            del file[name]
+            file[name] = h5py.ExternalLink("other.h5", "orbit")
+        with h5py.File(path) as file, pytest.raises(InputError, match="not in the file itself"):
+            sensor_of_nisar(file, "/science/LSAR/RSLC/swaths/frequencyA/HH")
+
+    def test_a_part_that_was_cut_out(self, path: Path, caplog: pytest.LogCaptureFixture) -> None:
+        h5py = pytest.importorskip("h5py")
+        name = "science/LSAR/RSLC/swaths/frequencyA/HH"
+        with h5py.File(path, "a") as file:
+            del file[name]
+            file[name] = np.ones((100, 90), np.complex64)
+        assert open_source(f"{path}:/{name}").geolocation is None
+        assert "another size" in caplog.text
+
     def test_the_file_is_located_by_it(self, path: Path) -> None:
         source = open_source(f"{path}:/science/LSAR/RSLC/swaths/frequencyA/HH")
         assert source.shape == SHAPE
