@@ -162,20 +162,24 @@ def contradiction(windows: Windows, draft: Draft, model: Model, shape: tuple[int
     there = model(here + windows.moved[speaking])
     against = windows.contradict[speaking]
     rng = np.random.default_rng(0)
-    first, mine = fit_consensus(Affine, here, there, threshold=MOTION_PX, rng=rng)
-    if not isinstance(first, FailedFit):
+    # A shear may lie between two motions and take a share of both; a similarity does not.
+    for kind in (Affine, Similarity):
+        first, mine = fit_consensus(kind, here, there, threshold=MOTION_PX, rng=rng)
+        if isinstance(first, FailedFit):
+            continue
         rest = ~mine
         second, _ = fit_consensus(Similarity, here[rest], there[rest], threshold=MOTION_PX, rng=rng)
-        if not isinstance(second, FailedFit):
-            theirs = rest & (second.residuals(here, there) <= MOTION_PX)
-            if theirs.sum() >= max(LEAST_CONTRADICTING, FOLLOW * rest.sum()):
-                points = _following(draft, first, second)
-                words = f"{points} tie points and " if points else ""
-                return (
-                    f"two motions, {words}{int(theirs.sum())} of {len(here)} windows "
-                    f"{_place(here[theirs], shape, windows.reach)} "
-                    f"move by {_shift(first, second, here[theirs])} against the others"
-                )
+        if isinstance(second, FailedFit):
+            continue
+        theirs = rest & (second.residuals(here, there) <= MOTION_PX)
+        if theirs.sum() >= max(LEAST_CONTRADICTING, FOLLOW * rest.sum()):
+            points = _following(draft, first, second)
+            words = f"{points} tie points and " if points else ""
+            return (
+                f"two motions, {words}{int(theirs.sum())} of {len(here)} windows "
+                f"{_place(here[theirs], shape, windows.reach)} "
+                f"move by {_shift(first, second, here[theirs])} against the others"
+            )
     length = float(np.median(np.hypot(*windows.moved[windows.contradict].T)))
     return (
         f"local displacements of {length:.1f} px in the median in {int(against.sum())} of {len(here)} windows "
