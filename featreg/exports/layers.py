@@ -157,15 +157,20 @@ def _outlines(content: Content, crs: str, located: bool, on_map: Callable[[Float
             continue
         ring = outline(image.size)
         by = "geolocation" if located else "pixels"
-        if role == "reference":
-            placed = on_map(ring)
-        else:
-            ground = ground_of(image, ring, content.model)
-            own = _in(crs, ground) if ground is not None and located else None
-            back = _back(content, ring) if own is None else None
-            if own is None and back is None:
-                continue
-            placed, by = (own, "geolocation") if own is not None else (on_map(np.asarray(back)), "model")
+        try:
+            if role == "reference":
+                placed = on_map(ring)
+            else:
+                ground = ground_of(image, ring, content.model)
+                own = _in(crs, ground) if ground is not None and located else None
+                back = _back(content, ring) if own is None else None
+                if own is None and back is None:
+                    continue
+                placed, by = (own, "geolocation") if own is not None else (on_map(np.asarray(back)), "model")
+        except InputError:
+            # The tie points have their places by now, so it is the rim that has none.
+            logger.warning("%s: its rim does not lie on the ground, so its outline is left out", image.path)
+            continue
         height, width = image.size
         facts = {"image": role, "path": image.path, "width": width, "height": height, "placed_by": by}
         yield {**facts, **content.verdict}, placed

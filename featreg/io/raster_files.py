@@ -32,8 +32,8 @@ OPEN_FILES = 4
 #: Side of a square of as many pixels as are read to tell the scale of real samples.
 SAMPLE = 1024
 
-#: Names one version of a file: what it is called, size, time of its last change.
-Stamp: TypeAlias = tuple[str, int, int]
+#: Names one version of a file: what it is called, size, time of its last change, its number on the disk.
+Stamp: TypeAlias = tuple[str, int, int, int]
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +77,7 @@ def stamp_of(source: str) -> Stamp:
             known = os.stat(path / MANIFEST)
     except (OSError, ValueError):
         known = None
-    return (source, -1, -1) if known is None else (source, known.st_size, known.st_mtime_ns)
+    return (source, -1, -1, -1) if known is None else (source, known.st_size, known.st_mtime_ns, known.st_ino)
 
 
 @lru_cache(maxsize=64)

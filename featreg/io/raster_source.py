@@ -140,7 +140,7 @@ class RasterSource(SampleSource):
         if isinstance(self.mask, str):
             raster = read_samples(self.mask, None, part)
             good = raster.samples != 0
-            good &= np.isfinite(raster.samples)
+            good &= ~np.isnan(raster.samples)
             hole = holds_nodata(raster.samples, raster.nodata)
             for more in (raster.mask, None if hole is None else ~hole):
                 if more is not None:

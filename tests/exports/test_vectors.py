@@ -10,7 +10,10 @@ import numpy as np
 import pytest
 
 from featreg.errors import InputError
+from featreg.exports import layers
+from featreg.exports.content import ground_of
 from featreg.exports.formats import export, read_tie_points
+from featreg.geolocation.footprint import outline
 from featreg.geometry import Affine
 from featreg.interfaces import FailedFit
 from featreg.io import write_geotiff
@@ -135,6 +138,21 @@ def test_geojson_is_longitude_and_latitude(tmp_path: Path) -> None:
     assert "crs" not in whole
     scores = [f["properties"]["score"] for f in whole["features"] if f["properties"]["layer"] == "tie_points"]
     assert scores == list(range(10))
+
+
+def test_a_rim_beside_the_ground_costs_the_outline_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def of(image: Any, xy: Any, model: Any) -> Any:
+        if len(xy) == len(outline(SHAPE)) and "ref" in image.path:
+            raise InputError("they have no place on the ground")
+        return ground_of(image, xy, model)
+
+    monkeypatch.setattr(layers, "ground_of", of)
+    assert export(result(tmp_path), tmp_path / "t.geojson", to="geojson") == 10
+    names = [f["properties"]["layer"] for f in json.loads((tmp_path / "t.geojson").read_text())["features"]]
+    assert (names.count("tie_points"), names.count("footprints")) == (10, 0)
+    assert "ref.tif: its rim does not lie on the ground" in caplog.text
 
 
 def test_geojson_is_cut_at_the_date_line(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import pickle
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -82,9 +83,17 @@ def mask_file(folder: Path) -> tuple[Path, dict[str, Any]]:
     return plain(folder)[0], {"mask": str(write(folder / "mask.tif", mask))}
 
 
+def mask_of_floats(folder: Path) -> tuple[Path, dict[str, Any]]:
+    mask = np.ones(SHAPE, np.float32)
+    mask[:9], mask[9:20], mask[20:30] = np.nan, np.inf, 0
+    np.save(folder / "mask.npy", mask)
+    return plain(folder)[0], {"mask": str(folder / "mask.npy")}
+
+
 Maker = Callable[[Path], tuple[Path, dict[str, Any]]]
 MAKERS: list[Maker] = [
-    plain, with_nodata, decibels, stated_intensity, complex_samples, numpy_file, palette, polygon, mask_file
+    plain, with_nodata, decibels, stated_intensity, complex_samples, numpy_file, palette, polygon, mask_file,
+    mask_of_floats,
 ]  # fmt: skip
 
 
@@ -110,6 +119,16 @@ def test_a_window_holds_the_pixels_of_the_whole_image(make: Maker, tmp_path: Pat
         there = slice(part.y, part.y + part.height), slice(part.x, part.x + part.width)
         assert np.array_equal(got.mask[rows, cols], whole.mask[there])
         assert np.array_equal(got.pixels[rows, cols], whole.pixels[there])
+
+
+def test_a_name_stands_for_the_file_of_the_working_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for value in (1, 2):
+        folder = tmp_path / str(value)
+        folder.mkdir()
+        np.save(folder / "a.npy", value * (1 + np.arange(400.0).reshape(20, 20)))
+        os.utime(folder / "a.npy", (1e9, 1e9))
+        monkeypatch.chdir(folder)
+        assert open_source("a.npy").read(Window(0, 0, 20, 20)).pixels[0, 0] == value
 
 
 def test_a_window_outside_the_scene_is_all_masked(tmp_path: Path) -> None:
