@@ -160,8 +160,9 @@ def test_what_cannot_run_is_refused_before_anything_is_matched(folder: Path) -> 
     for own in ({"parameters": {"seed": 3}}, {"grid": {"seed": [1, 2]}}, {"methods": [{"method": "orb", "seed": 3}]}):
         with pytest.raises(ParameterError, match="'seed' is no parameter of a method; give a list of seeds"):
             experiment(folder, **own).run()
+    city = pairs_in(folder)[0]
     with pytest.raises(InputError, match=r"pair 1: .*no\.csv"):
-        experiment(folder, pairs=[("a.tif", "b.tif", "no.csv")]).run()
+        experiment(folder, pairs=[(city["reference"], city["secondary"], "no.csv")]).run()
     with pytest.raises(FeatregError, match="not-there"):
         Experiment.from_file("not-there.yaml")
     with pytest.raises(InputError, match=r"must be a \.yaml"):
