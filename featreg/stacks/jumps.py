@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import f as f_law
 
 from featreg.types import FloatArray
 
@@ -48,6 +47,8 @@ def jumps(shifts: Sequence[FloatArray | None], errors: Sequence[float]) -> list[
     B. Rosner, "Percentage points for a generalized ESD many-outlier procedure", Technometrics 25 (1983) 165,
     DOI 10.1080/00401706.1983.10487848
     """
+    from scipy.stats import f as f_law
+
     known = [i for i, shift in enumerate(shifts) if shift is not None]
     steps: list[tuple[int, FloatArray, float, float]] = []
     for before, after in itertools.pairwise(known):

@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.linalg import spsolve
 
 from featreg.geometry import Affine, Homography, Polynomial3, Rigid, Similarity, Translation
 from featreg.interfaces import FailedFit, Model
@@ -188,6 +186,9 @@ def _solved(
     size: int,
 ) -> tuple[FloatArray, FloatArray]:
     """Steps of the parameters (images, P), and the inverse of the normal matrix."""
+    from scipy import sparse
+    from scipy.sparse.linalg import spsolve
+
     count = len(column) * size
     normal = sparse.lil_matrix((count, count))
     right = np.zeros(count)

@@ -227,7 +227,8 @@ def test_the_command_works_in_blocks(
     from featreg.cli.main import main
 
     images = [str(located_pair.reference), str(located_pair.secondary)]
-    code = main(["match", *images, "--block", "200", "--workers", "1", "--json", str(tmp_path / "r.json")])
+    options = ["--method", "sar-orb", "--block", "200", "--workers", "1", "--json", str(tmp_path / "r.json")]
+    code = main(["match", *images, *options])
     assert code == 0
     assert "blocks      12" in capsys.readouterr().out
     written = json.loads((tmp_path / "r.json").read_text())
@@ -260,7 +261,7 @@ def test_two_runs_on_one_folder_at_once_disturb_each_other_in_nothing(
 ) -> None:
     state = tmp_path / "state"
     command = [*COMMAND, str(located_pair.reference), str(located_pair.secondary), "--block", "200", "--workers", "1"]
-    command += ["--resume", str(state)]
+    command += ["--method", "sar-orb", "--resume", str(state)]
     running = [
         subprocess.Popen(
             [*command, "--json", str(tmp_path / f"{k}.json")], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
