@@ -324,7 +324,8 @@ class KorniaDetector(KorniaMember, Detector):
         values = self.parameters
         network = self.network()
         picture = grey(image, values["normalise"])
-        if min(image.shape) < MIN_SIDE or not image.mask.any() or picture.min() == picture.max():
+        smallest = GRID + 1 if "tile" in values else MIN_SIDE  # of a network two of its coarsest cells
+        if min(image.shape) < smallest or not image.mask.any() or picture.min() == picture.max():
             return Features.empty()
         with inference(values["threads"]):
             tensor = to_tensor(image, values["normalise"], values["device"])
