@@ -190,8 +190,8 @@ _SMNN = Part("kornia-smnn")
 
 PRESETS: Mapping[str, Preset] = {
     "auto": Preset(
-        "sar-orb, sar-dense, optical-sar, the first that is trusted; sar-orb last where the images differ in speckle",
-        methods=("sar-orb", "sar-dense", "optical-sar"),
+        "sar-orb, and sar-dense where that is not trusted; the other way round where the images differ in speckle",
+        methods=("sar-orb", "sar-dense"),
     ),
     "sar-orb": Preset(
         "SAR-OFAST corners on a ROEWA edge pyramid, BRIEF in one common direction, GMS, FSC",
@@ -286,7 +286,6 @@ PRESETS: Mapping[str, Preset] = {
         refine=False,
         model="similarity",
         trust=_SEARCHED_TRUST,
-        for_unlike=True,
     ),
     "sar-dense": Preset(
         "Orientation of ratio gradients correlated over any rotation, scale and shift, verified by windows, FSC",

@@ -28,12 +28,11 @@ def _package() -> str:
     """The first name under which a package with a `get_matcher` may be had, "" where none is installed."""
     for name in PACKAGES:
         try:
-            spec = find_spec(name)
+            # "matching" is a name that others use too, also for a module without parts.
+            if find_spec(name) is not None and (name != "matching" or find_spec("matching.im_models") is not None):
+                return name
         except (ImportError, ValueError):
             continue
-        # "matching" is a name that others use too.
-        if spec is not None and (name != "matching" or find_spec("matching.im_models") is not None):
-            return name
     return ""
 
 

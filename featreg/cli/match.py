@@ -39,7 +39,7 @@ def match(
             "--method",
             metavar="NAME",
             help="One of `featreg list method`.",
-            show_default="auto, the first that is trusted of a few; with --set, sar-orb",
+            show_default="auto: sar-orb, else sar-dense; with --set, sar-orb",
         ),
     ] = None,
     *,

@@ -95,3 +95,13 @@ def test_without_vismatch_the_cure_is_named() -> None:
     image = as_image(sar_pair((64, 64), seed=0).reference)
     with pytest.raises(PluginUnavailableError, match="vismatch is not installed"):
         module.Vismatch().match(image, image)
+
+
+def test_another_module_of_that_name_is_no_vismatch(tmp_path: Path) -> None:
+    (tmp_path / "matching.py").write_text("")
+    code = (
+        "import featreg.registry as r\nr.entries('matcher')\n"
+        "print(dict(r.broken()), r.entry('matcher', 'vismatch').unavailable)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("{} vismatch is not installed")
