@@ -225,7 +225,7 @@ def create(kind: str, name: str, **parameters: Any) -> Any:
 
 def model_class(name: str) -> type[Model]:
     """Return the class of a registered geometric model."""
-    cls: type[Model] = entry("model", name).factory  # type: ignore[assignment]
+    cls: type[Model] = entry("model", name).factory  # type: ignore[assignment]  # of this kind all are
     return cls
 
 

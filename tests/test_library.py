@@ -125,3 +125,13 @@ def test_kernels_are_imported_inside_functions() -> None:
         if found.at_load and found.target.endswith("_kernels") and not name.endswith("_kernels")
     ]
     assert early == []
+
+
+def test_every_exception_from_the_type_check_says_why() -> None:
+    silent = [
+        f"{name}:{number}"
+        for name, path in modules().items()
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
+        if re.search(r"# type: ignore(\[[^\]]*\])?\s*$", line)
+    ]
+    assert silent == []

@@ -143,6 +143,6 @@ def _make(folder: Path) -> None:
 def _png(gray: object) -> bytes:
     import cv2
 
-    _, content = cv2.imencode(".png", gray)  # type: ignore[call-overload]
+    _, content = cv2.imencode(".png", gray)  # type: ignore[call-overload]  # any array
     encoded: bytes = content.tobytes()
     return encoded

@@ -92,7 +92,7 @@ def describe(
     ]
     found: dict[str, Any] = {"file": file, "format": driver, "bands": listed}
     try:
-        source: RasterSource = open_source(file, band=band, scale=scale, nodata=nodata)  # type: ignore[assignment]
+        source: RasterSource = open_source(file, band=band, scale=scale, nodata=nodata)  # type: ignore[assignment]  # of a path it is one
     except InputError as error:
         if band is not None or len(bands) < 2:
             raise

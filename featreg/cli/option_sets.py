@@ -44,6 +44,6 @@ def takes(command: Callable[..., None]) -> Callable[..., None]:
         command(**given, **filled)
 
     run.__name__, run.__doc__, run.__module__ = command.__name__, command.__doc__, command.__module__
-    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # functions may carry one
     run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return run

@@ -275,4 +275,4 @@ def _reduced(cls: type[RpcBias]) -> Any:
     return cls.__qualname__ if cls.binding is None else (_bound, cls.binding)
 
 
-copyreg.pickle(_Bindable, _reduced)  # type: ignore[arg-type]
+copyreg.pickle(_Bindable, _reduced)  # type: ignore[arg-type]  # the stub asks for a function of instances, these are classes

@@ -61,7 +61,7 @@ class Polynomial(GeometricModel):
         if not flatness < 1e6:
             return FailedFit(f"the fit maps the plane onto a line: singular values in the ratio {1 / flatness:.3g}")
         x, y = n.reference_centre.tolist()
-        return cls(coefficients=coefficients, centre=(x, y), scale=n.reference_scale)  # type: ignore[call-arg]
+        return cls(coefficients=coefficients, centre=(x, y), scale=n.reference_scale)  # type: ignore[call-arg]  # a field of the classes derived from this one
 
     def __call__(self, xy: FloatArray) -> FloatArray:
         p = np.asarray(xy, np.float64)

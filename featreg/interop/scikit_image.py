@@ -57,7 +57,7 @@ def features(
     """Return the features of columns, of which each may be one number; bits (N, D) bool become packed bytes."""
     n = len(xy)
     bits = descriptors is not None and descriptors.dtype == np.bool_
-    table = np.packbits(descriptors, axis=1) if bits else descriptors  # type: ignore[arg-type]
+    table = np.packbits(descriptors, axis=1) if bits else descriptors  # type: ignore[arg-type]  # bits say that it is not None
     return Features(
         xy=xy,
         scale=np.broadcast_to(np.asarray(scale, np.float64), n),

@@ -43,7 +43,7 @@ def orientation_module(alpha: float = 3.0, floor: float = FLOOR) -> Any:
         raise ParameterError(f"alpha must be a positive number of pixels, got {alpha}")
     torch = import_torch()
 
-    class OrientationField(torch.nn.Module):  # type: ignore[name-defined, misc]
+    class OrientationField(torch.nn.Module):  # type: ignore[name-defined, misc]  # imported late
         def forward(self, amplitude: Tensor) -> Tensor:
             if amplitude.ndim != 4 or amplitude.shape[1] != 1:
                 raise InputError(f"amplitudes must be (B, 1, H, W), got {tuple(amplitude.shape)}")
@@ -80,7 +80,7 @@ def _middle(torch: Any, strength: Tensor) -> Tensor:
     """The median of the positive strengths, 1 without any; of an even number the mean of the two in the middle."""
     some = strength[strength > 0]
     if not len(some):
-        return torch.ones_like(strength[0, 0])  # type: ignore[no-any-return]
+        return torch.ones_like(strength[0, 0])  # type: ignore[no-any-return]  # torch may be absent when types are checked
     middle: Tensor = torch.quantile(some[:: max(1, len(some) // 1_000_000)], 0.5)
     return middle
 

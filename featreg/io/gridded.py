@@ -61,7 +61,7 @@ class Variable:
         """The names of real and imaginary part where samples are kept as a pair of numbers."""
         names = [name.lower() for name in self.dtype.names or ()]
         if names in (["r", "i"], ["real", "imag"], ["re", "im"]):
-            return self.dtype.names[0], self.dtype.names[1]  # type: ignore[index]
+            return self.dtype.names[0], self.dtype.names[1]  # type: ignore[index]  # there are names where `names` is not empty
         return None
 
     @property

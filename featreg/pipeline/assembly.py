@@ -60,7 +60,7 @@ class _Slot:
     @cached_property
     def made(self) -> Any:
         """The part itself, made once."""
-        return self.ready if self.ready is not None else registry.create(self.kind, self.name, **self.parameters)  # type: ignore[call-overload]
+        return self.ready if self.ready is not None else registry.create(self.kind, self.name, **self.parameters)  # type: ignore[call-overload]  # kind is one of the names that it knows
 
     @property
     def record(self) -> dict[str, Any]:

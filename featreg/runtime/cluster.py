@@ -33,7 +33,7 @@ def dask_client(address: str | None, executor: Any = None) -> Iterator[Any]:
     except ImportError as error:
         raise ParameterError("a scheduler needs dask: pip install 'featreg[dask]'") from error
     try:
-        client: Any = Client(address, timeout=PATIENCE, set_as_default=False)  # type: ignore[no-untyped-call]
+        client: Any = Client(address, timeout=PATIENCE, set_as_default=False)  # type: ignore[no-untyped-call]  # distributed has no types
     except (OSError, ValueError, TypeError) as error:
         why = " ".join(str(error).split())[:160]
         raise InputError(f"scheduler '{address}': no dask scheduler answers there ({why})") from error

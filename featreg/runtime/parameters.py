@@ -169,7 +169,7 @@ def checked(owner: str) -> Callable[[Thing], Thing]:
     prefix = f"{owner}." if owner else ""
 
     def decorate(thing: Thing) -> Thing:
-        function: Any = thing.__init__ if isinstance(thing, type) else thing  # type: ignore[misc]
+        function: Any = thing.__init__ if isinstance(thing, type) else thing  # type: ignore[misc]  # of the class itself
         signature = inspect.signature(function)
 
         @wraps(function)
@@ -181,8 +181,8 @@ def checked(owner: str) -> Callable[[Thing], Thing]:
             return function(*args, **keywords)
 
         if not isinstance(thing, type):
-            return call  # type: ignore[return-value]
-        thing.__init__ = call  # type: ignore[misc]
+            return call  # type: ignore[return-value]  # called as before
+        thing.__init__ = call  # type: ignore[misc]  # of the class itself
         return thing
 
     return decorate
@@ -235,7 +235,7 @@ def _annotation(thing: Callable[..., Any], name: str, text: Any) -> Any:
     if not isinstance(text, str):
         return text
     home = next((c for c in getattr(thing, "__mro__", ()) if name in vars(c).get("__annotations__", {})), None)
-    function: Any = thing.__init__ if isinstance(thing, type) else thing  # type: ignore[misc]
+    function: Any = thing.__init__ if isinstance(thing, type) else thing  # type: ignore[misc]  # of the class itself
     names = vars(sys.modules[home.__module__]) if home else inspect.unwrap(function).__globals__
     try:
         return get_type_hints(SimpleNamespace(__annotations__={name: text}), names, include_extras=True)[name]

@@ -103,7 +103,7 @@ def planned(count: int, reference: int, pairs: Any) -> list[tuple[int, int]]:
     """
     if pairs is None:
         star = {tuple(sorted((reference, i))) for i in range(count) if i != reference}
-        return sorted(star | set(_next(count, 2)))  # type: ignore[arg-type]
+        return sorted(star | set(_next(count, 2)))  # type: ignore[arg-type]  # sorted pairs are pairs
     if pairs == "chain":
         return _next(count, 1)
     if pairs == "all":

@@ -166,7 +166,7 @@ class _Engine:
             for job in missing:
                 futures[job] = self._submit(pool, job)
             for job, future in futures.items():
-                future.add_done_callback(lambda _, job=job: finished.put(job))  # type: ignore[misc]
+                future.add_done_callback(lambda _, job=job: finished.put(job))  # type: ignore[misc]  # a default in a lambda
             for _ in missing:
                 job = finished.get()
                 self.results[job] = outcome(futures[job].result)

@@ -139,7 +139,7 @@ class Image(ReadOnlyArrays, Shown):
 
 
 def _amplitude(image: Image) -> NDArray[np.float32]:
-    return np.abs(image.pixels) if image.is_complex else image.pixels  # type: ignore[return-value]
+    return np.abs(image.pixels) if image.is_complex else image.pixels  # type: ignore[return-value]  # complex64 has float32 magnitudes
 
 
 def _all_valid(image: Image) -> bool:
