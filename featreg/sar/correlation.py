@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from featreg.errors import ParameterError
 from featreg.types import BoolArray, FloatArray, IntArray
 
 F32 = NDArray[np.float32]
@@ -47,7 +48,7 @@ def local_correlations(
     first, second : (H, W) float32, aligned to within `search` pixels
     xy : (N, 2) int64 points, at least half + search + 1 pixels inside
     half : half the window; it is 2 * half + 1 pixels wide
-    search : largest shift along x and y
+    search : largest shift along x and y; at most 28 where `there` is given
     there : (N, 2) int64 points of `second` around which is searched, as far inside; None for `xy`
 
     Returns
@@ -55,6 +56,11 @@ def local_correlations(
     (N, 2 * search + 1, 2 * search + 1) float64
         Element [i, search + dy, search + dx] for the window of `first` at xy[i] against that of `second` at
         there[i] + (dx, dy); 0 where a window is constant.
+
+    Raises
+    ------
+    ParameterError
+        A search around other points that is too wide.
     """
     import cv2
 
@@ -64,7 +70,10 @@ def local_correlations(
     xs, ys = np.ascontiguousarray(xy[order].T)
     side = 2 * half + 1
     found = np.empty((len(xy), 2 * search + 1, 2 * search + 1))
-    if there is not None or len(xy) * side**2 < FEW * first.size:
+    if there is not None and search > correlation_kernels.MOST_SEARCH:
+        raise ParameterError(f"search around other points must be at most 28 px, got {search}")
+    few = search <= correlation_kernels.MOST_SEARCH and len(xy) * side**2 < FEW * first.size
+    if there is not None or few:
         us, vs = (xs, ys) if there is None else np.ascontiguousarray(there[order].T)
         correlation_kernels.correlations_of_few(
             first.ravel(), first.shape[1], second.ravel(), second.shape[1], xs, ys, us, vs, half, search, found
@@ -73,9 +82,7 @@ def local_correlations(
     # Running sums lose digits on a high level.
     a = first - np.float32(cv2.mean(first)[0])
     b = second - np.float32(cv2.mean(second)[0])
-    mean = np.asarray(cv2.boxFilter(b, -1, (side, side)), np.float32)
-    square = np.asarray(cv2.sqrBoxFilter(b, -1, (side, side)), np.float32)
-    correlation_kernels.correlations(a, b, mean, square, xs, ys, half, search, found)
+    correlation_kernels.correlations(a, b, xs, ys, half, search, found)
     return _in_order(found, order)
 
 

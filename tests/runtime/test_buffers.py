@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import platform
+import subprocess
+import sys
 import threading
 
 import numpy as np
+import pytest
 
 from featreg.runtime import buffers
 from featreg.runtime.buffers import keeping, scratch
@@ -40,3 +44,20 @@ def test_what_is_too_large_and_other_threads_get_their_own() -> None:
         assert theirs == [False]
         large = buffers.LARGEST // 4 + 1
         assert not np.shares_memory(scratch("a", (large,)), scratch("a", (large,)))
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="of glibc's habit")
+def test_large_arrays_are_not_mapped_anew_each_time() -> None:
+    code = (
+        "import resource, numpy as np\n"
+        "from featreg.runtime.buffers import expect_large_arrays\n"
+        "def faults():\n"
+        "    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt\n"
+        "    for _ in range(20):\n"
+        "        [np.ones(3 << 20, np.uint8) for _ in range(12)]\n"
+        "    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before\n"
+        "faults(); print(faults()); expect_large_arrays(); faults(); print(faults())\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    before, after = (int(count) for count in done.stdout.split())
+    assert after < 0.2 * before

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from featreg.errors import ParameterError
 from featreg.sar.correlation import local_correlations, peaks
 
 Texture = Callable[..., NDArray[np.float32]]
@@ -37,7 +38,7 @@ def smooth(height: int, width: int, shift: tuple[float, float] = (0.0, 0.0), see
     return np.asarray(moved / moved.std(), np.float32)
 
 
-@pytest.mark.parametrize(("half", "search"), [(4, 2), (12, 3), (24, 1)])
+@pytest.mark.parametrize(("half", "search"), [(4, 2), (12, 3), (24, 1), (36, 4)])
 @pytest.mark.parametrize("offset", [0.0, 30.0])
 @pytest.mark.parametrize("few", [0.0, 1e9])
 def test_equals_the_direct_correlation(
@@ -91,6 +92,14 @@ def test_a_constant_window_correlates_with_nothing(sar_texture: Texture, level: 
     for one, other in ((a, b), (b, a), (a, a)):
         np.testing.assert_array_equal(local_correlations(one, other, flat, 12, 2), 0)
         assert np.abs(local_correlations(one, other, lively, 12, 2)).max() <= 1 + 1e-4
+
+
+def test_a_search_around_other_points_has_a_limit(sar_texture: Texture) -> None:
+    a, at = sar_texture(80, 90), np.array([[44, 40]])
+    with pytest.raises(ParameterError, match="at most 28 px, got 29"):
+        local_correlations(a, a, at, 5, 29, at)
+    found = local_correlations(a, a, at, 5, 29)
+    assert found[0, 29, 29] == pytest.approx(1, abs=1e-5)
 
 
 def test_no_points_give_no_correlations(sar_texture: Texture) -> None:
