@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
@@ -15,7 +15,6 @@ from featreg.errors import ParameterError
 from featreg.geometry import Affine, Similarity
 from featreg.geometry.robust import irls
 from featreg.interfaces import FailedFit, Matcher, Model
-from featreg.pipeline.identical import identical_pixels
 from featreg.registry import register
 from featreg.runtime.parameters import Count, Positive, Share
 from featreg.runtime.timing import stage
@@ -111,7 +110,6 @@ class OrientationCorrelation(Matcher):
 
     def match(self, reference: Image, secondary: Image) -> Matches:
         """Return one tie point per window; empty where no alignment is more than chance, or where two are."""
-        reference, secondary = _without_identical(reference, secondary)
         scales = scale_steps(self.largest, self.scale_step)
         # Most images have about the same scale: where an alignment of these stands out and is decided, it is the one.
         judged = self._search(reference, secondary, scales[:SIMILAR], OUTSTANDING)
@@ -125,7 +123,6 @@ class OrientationCorrelation(Matcher):
 
     def match_near(self, reference: Image, secondary: Image, initial: Model, radius: float) -> Matches:
         """As `match`, of images that `initial` aligns to within a radius in pixels of the secondary."""
-        reference, secondary = _without_identical(reference, secondary)
         affine = _linearised(initial, reference.shape)
         with stage("verify"):
             known = None if affine is None else near(reference, secondary, affine, radius)
@@ -218,19 +215,6 @@ def _corrected(level: Level, found: Surfaces, seen: Peaks) -> FloatArray:
         if not isinstance(model, FailedFit) and np.count_nonzero(weights) >= least and model.matrix is not None:
             return level.moved(model.matrix[:2])
     return level.affine
-
-
-def _without_identical(reference: Image, secondary: Image) -> tuple[Image, Image]:
-    """Both images without what is identical in them while their surroundings disagree: frames, labels, dead pixels."""
-    same = identical_pixels(reference, secondary)
-    if same is None or same.all():
-        return reference, secondary
-    return _masked(reference, ~same), _masked(secondary, ~same)
-
-
-def _masked(image: Image, kept: BoolArray) -> Image:
-    mask = image.mask & kept
-    return replace(image, pixels=np.where(mask, image.pixels, image.pixels.dtype.type(0)), mask=mask)
 
 
 def _linearised(model: Model, shape: tuple[int, int]) -> FloatArray | None:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
-from featreg.types import BoolArray, FloatArray, Image, Matches
+from featreg.types import BoolArray, FloatArray, Image, Matches, read_only
 
 F32 = NDArray[np.float32]
 
@@ -23,6 +25,8 @@ BLOCK, ALIKE = 8, 0.2
 #: Correlation of the finest detail from which on it is shared: speckle of two dates has below 0.1, and below 0.02 on
 #: other places. Side of the middle part that is looked at, px.
 PATTERN, CROP = 0.12, 160
+#: So many identical pixels in a square of 3 x 3 are part of a line or an area, whose rim was drawn with it.
+DRAWN = 3
 #: Tie points that move by less than this stand still as the identical pixels do, px.
 STILL_PX = 2.0
 
@@ -48,6 +52,28 @@ def identical_pixels(reference: Image, secondary: Image) -> BoolArray | None:
     if _detail(reference, secondary) >= PATTERN and _likeness(reference, secondary, np.zeros_like(same)) < ALIKE:
         return np.ones_like(same)
     return None
+
+
+def without_identical(reference: Image, secondary: Image, same: BoolArray) -> tuple[Image, Image]:
+    """Return both images with the identical pixels invalid, so that no method sees them, at any place of either.
+
+    Both ends of a tie point may lie on one frame or label at different places, and slide along it. The rim of lines and
+    areas goes with them, as it was blended with the image when they were drawn; single pixels have none. The images
+    themselves where all pixels are identical: a pattern leaves nothing when it is left out.
+    """
+    if same.all():
+        return reference, secondary
+    import cv2
+
+    share = cv2.blur(same.astype(np.float32), (3, 3), borderType=cv2.BORDER_CONSTANT)
+    drawn = same | _widened(same & (share > (DRAWN - 0.5) / 9))
+    return _without(reference, drawn), _without(secondary, drawn)
+
+
+def _without(image: Image, pixels: BoolArray) -> Image:
+    mask = image.mask & ~pixels
+    kept = np.where(mask, image.pixels, image.pixels.dtype.type(0))
+    return replace(image, pixels=read_only(kept), mask=read_only(mask))
 
 
 def stands_still(matches: Matches) -> BoolArray:

@@ -14,7 +14,7 @@ from featreg.interfaces import FailedFit, Filter, FilterContext, Matcher, Model
 from featreg.pipeline.competing import agreement_gates, rival_gate
 from featreg.pipeline.feature_matcher import FeatureMatcher
 from featreg.pipeline.frame import Frame, stated_frame
-from featreg.pipeline.identical import identical_pixels, stands_still
+from featreg.pipeline.identical import identical_pixels, stands_still, without_identical
 from featreg.pipeline.inputs import input_image, pixel_ratio, with_hints
 from featreg.pipeline.locate import Locate
 from featreg.pipeline.refine import Refine
@@ -139,6 +139,10 @@ class Pipeline:
         given = reference, secondary
         records = input_image(reference), input_image(secondary)
         with collecting() as timings:
+            with stage("identical"):
+                identical = identical_pixels(reference, secondary)
+                if identical is not None:
+                    reference, secondary = without_identical(reference, secondary, identical)
             with stage("read"):
                 reference, secondary = bridged(reference), bridged(secondary)
             if initial is None or search_radius is None:
@@ -147,8 +151,6 @@ class Pipeline:
                 matches = matcher.match_near(reference, secondary, initial, search_radius)
             matches = on_samples(matches, reference, secondary)
             steps.advance()
-            with stage("identical"):
-                identical = identical_pixels(*given)
             before = None if identical is None else {"identical": ~stands_still(matches)}
             known: Any = {"seed": seed, "initial": initial, "search_radius": search_radius}
             ratio = pixel_ratio(*records, initial)
