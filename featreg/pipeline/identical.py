@@ -19,6 +19,17 @@ EXCESS = 4.0
 DENSE = 0.6
 #: Share of the black pixels of either image that are black in both, where they were drawn.
 SHARED_DARK = 0.7
+#: What was drawn before images were compressed with losses lies on both, among their brightest tenth: samples from this
+#: share of the largest on, or from the second on and so near to each other; or it is darker than a share of the median.
+DRAWN_BRIGHT, DRAWN_GREY, GREY_NOISE, DRAWN_DARK = 0.85, 0.2, 0.08, 0.1
+#: Samples that tell what is bright and what is dark.
+SAMPLES = 4000
+#: Half of the square in which the two drawings are compared, px, the fewest pixels of one there, and the share of those
+#: of either image that both have. Bright targets and speckle of two places overlap by less. A drawing covers no more of
+#: the image than the last.
+AROUND, STROKE, OVERLAP, MOST_DRAWN = 7, 12, 0.7, 0.3
+#: So far around a drawing compression with losses leaves traces of it, px.
+RINGING = 9
 #: Side of the squares whose means are compared around the identical pixels, and how alike they are where the images
 #: show the same place: 0.32 to 0.9 on pairs of one place on one grid, years apart; below 0.08 on other places.
 BLOCK, ALIKE = 8, 0.2
@@ -45,11 +56,13 @@ def identical_pixels(reference: Image, secondary: Image) -> BoolArray | None:
     count = np.count_nonzero(same)
     if count > MOST * same.size:
         return None
-    if count >= LEAST:
-        same = _beyond_chance(same, np.abs(a), np.abs(b))
+    drawn = _drawn(reference, secondary)
+    if count >= LEAST or drawn.any():
+        same = _beyond_chance(same, np.abs(a), np.abs(b)) | drawn
         if np.count_nonzero(same) >= LEAST and _likeness(reference, secondary, same) < ALIKE:
-            return same
-    if _detail(reference, secondary) >= PATTERN and _likeness(reference, secondary, np.zeros_like(same)) < ALIKE:
+            return np.ones_like(same) if _detail(reference, secondary, _widened(same, RINGING)) >= PATTERN else same
+    nothing = np.zeros_like(same)
+    if _detail(reference, secondary, nothing) >= PATTERN and _likeness(reference, secondary, nothing) < ALIKE:
         return np.ones_like(same)
     return None
 
@@ -98,6 +111,38 @@ def _beyond_chance(same: BoolArray, a: F32, b: F32) -> BoolArray:
     return np.asarray(same & (dense | np.isin(a, often)))
 
 
+def _drawn(reference: Image, secondary: Image) -> BoolArray:
+    """(H, W) pixels of the same bright or dark drawing on both images, which compression has made differ a little."""
+    import cv2
+
+    mask, box = reference.mask & secondary.mask, (2 * AROUND + 1, 2 * AROUND + 1)
+    first, second = (np.where(mask, np.abs(image.pixels), 0) for image in (reference, secondary))
+    found = np.zeros_like(mask)
+    valid = np.flatnonzero(mask.ravel())
+    if not len(valid):
+        return found
+    # Drawn at random, as rows and columns may be those of a grid.
+    some = valid[np.random.default_rng(0).integers(0, len(valid), SAMPLES)]
+    levels = np.array([np.percentile(view.ravel()[some], (50, 90)) for view in (first, second)])
+    dark, bright = np.float32(DRAWN_DARK * levels[:, 0].min()), levels[:, 1].max()
+    less, more = np.minimum(first, second), np.maximum(first, second)
+    top = float(more.max())
+    grey, white = (np.float32(max(bright, share * top)) for share in (DRAWN_GREY, DRAWN_BRIGHT))
+    for both, either in (
+        (mask & (more <= dark), mask & (less <= dark)),
+        (less >= white, more >= white),
+        ((less >= grey) & (more - less <= np.float32(GREY_NOISE * top)), more >= grey),
+    ):
+        if np.count_nonzero(both) < LEAST:
+            continue
+        shared, all_of_it = (
+            cv2.boxFilter(which.astype(np.float32), -1, box, normalize=False, borderType=cv2.BORDER_CONSTANT)
+            for which in (both, either)
+        )
+        found |= both & (shared >= STROKE) & (shared >= OVERLAP * all_of_it)
+    return found if np.count_nonzero(found) <= MOST_DRAWN * found.size else np.zeros_like(found)
+
+
 def _likeness(reference: Image, secondary: Image, same: BoolArray) -> float:
     """Correlation of the local contrasts of two images on one grid, without the pixels of `same`; 1 where none is left.
 
@@ -133,12 +178,15 @@ def _likeness(reference: Image, secondary: Image, same: BoolArray) -> float:
     return float(np.corrcoef(contrasts[0], contrasts[1])[0, 1])
 
 
-def _detail(reference: Image, secondary: Image) -> float:
-    """Correlation of the finest detail, each pixel less its 3 x 3 mean in logarithms, in the middle of the images."""
+def _detail(reference: Image, secondary: Image, same: BoolArray) -> float:
+    """Correlation of the finest detail, each pixel less its 3 x 3 mean in logarithms, in the middle of the images.
+
+    Without the pixels of `same`; 0 where fewer than half are left.
+    """
     import cv2
 
     middle = tuple(slice(max(0, n // 2 - CROP // 2), n // 2 + CROP // 2) for n in reference.shape)
-    use = (reference.mask & secondary.mask)[middle]
+    use = (reference.mask & secondary.mask & ~same)[middle]
     if np.count_nonzero(use) < 0.5 * use.size:
         return 0.0
     views: list[FloatArray] = []
@@ -151,8 +199,8 @@ def _detail(reference: Image, secondary: Image) -> float:
     return float(np.corrcoef(views[0], views[1])[0, 1])
 
 
-def _widened(mask: BoolArray) -> BoolArray:
-    """The pixels of a mask and their eight neighbours."""
+def _widened(mask: BoolArray, by: int = 1) -> BoolArray:
+    """The pixels of a mask and their neighbours in squares that reach so many px."""
     import cv2
 
-    return np.asarray(cv2.dilate(mask.view(np.uint8), np.ones((3, 3), np.uint8)), np.uint8) > 0
+    return np.asarray(cv2.dilate(mask.view(np.uint8), np.ones((2 * by + 1,) * 2, np.uint8)), np.uint8) > 0
