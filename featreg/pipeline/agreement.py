@@ -7,13 +7,16 @@ so it sees what filters and refinement have dropped.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from featreg.interfaces import Model
+from featreg.geometry import Affine
+from featreg.geometry.robust import irls
+from featreg.interfaces import FailedFit, Model
 from featreg.pipeline.aligned import MOST_SIDE, remapped
 from featreg.sar.correlation import Peaks, local_correlations, peaks
 from featreg.sar.speckle import despeckled
@@ -33,6 +36,12 @@ FOR, AGAINST = 0.4, 0.5
 FAR_PX, BETTER = 1.75, 1.15
 #: Displacements of neighbouring windows that move together differ by less than this, px.
 TOGETHER_PX = 2.5
+#: Fewest windows by which a drift is told, and displacements from their common field that are not told apart, px.
+LEAST_DRIFT, DRIFT_SCALE_PX = 8, 2.0
+#: Windows lie half a window apart, so that four of them see what one sees by itself.
+SHARED = 4
+#: Along each axis, how far a refinement may have moved what it was given, px: so many models it chose from.
+CHOSEN_PX = 6.0
 #: Shifts of the whole image within this many samples of none belong to the peak of the model itself.
 LOBE = 4
 #: Fewest windows with something to say, and least share of those that both images hold.
@@ -55,6 +64,7 @@ class Windows:
     height : (N,) float64 correlation where it is highest
     agree, contradict : (N,) bool, those that speak for the model and against it
     inside : (N,) bool, those that both images hold
+    peaked : (N,) bool, those of them with a peak away from the rim of the search that is high enough to speak against
     reach : half the side of a window, px
     """
 
@@ -65,6 +75,7 @@ class Windows:
     agree: BoolArray
     contradict: BoolArray
     inside: BoolArray
+    peaked: BoolArray
     reach: float
 
     @property
@@ -73,6 +84,38 @@ class Windows:
         against, speaking = int(self.contradict.sum()), int((self.agree | self.contradict).sum())
         enough = max(LEAST_WINDOWS, LEAST_SPEAKING * int(self.inside.sum()))
         return against / speaking if speaking >= enough else None
+
+    @property
+    def drift(self) -> float | None:
+        """Root mean square in px of the affine field that most displacements share; None where few windows have one.
+
+        A model that tie points in one part of the image determine is wrong elsewhere by what grows with the distance:
+        few windows there move as their neighbours do, but all of them together.
+        """
+        here = self.xy[self.peaked]
+        if len(here) < LEAST_DRIFT:
+            return None
+        there = here + self.moved[self.peaked]
+        field, _ = irls(Affine, here, there, scale_px=DRIFT_SCALE_PX, iterations=10)
+        if isinstance(field, FailedFit):
+            return None
+        return float(np.sqrt(((field(here) - here) ** 2).sum(axis=1).mean()))
+
+    def log10_chance(self, parameters: int) -> float:
+        """Expected number, as log10, of models of so many parameters for which as many windows speak by chance.
+
+        As `featreg.pipeline.trust_measures.log10_chance` of tie points: n windows look by themselves, k of them have
+        their peak within `FAR_PX` of the model, each by chance with the share of that disc in the search, and the model
+        is one of those that a refinement may have chosen.
+        """
+        n, k = int(self.inside.sum()) / SHARED, int(self.agree.sum()) / SHARED
+        if not k:
+            return 0.0
+        search = (2 * SEARCH + 1) * 2 * self.reach / (2 * HALF + 1)
+        p = math.pi * FAR_PX**2 / search**2
+        models = 0.5 * parameters * math.log10(max(1.0, (2 * CHOSEN_PX + 1) ** 2 / (math.pi * FAR_PX**2)))
+        choose = (math.lgamma(n + 1) - math.lgamma(k + 1) - math.lgamma(n - k + 1)) / math.log(10)
+        return models + choose + k * math.log10(p)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,8 +182,9 @@ class Agreement:
         contradict = speaks & far & (found.height >= AGAINST) & _better(found, at_model)
         contradict &= _neighbours(moved, contradict, grid) >= 1
         xy = (at.astype(np.float64) + 0.5) * self.step - 0.5
+        peaked = inside & found.sound & (found.height >= AGAINST)
         return Windows(
-            xy, moved, at_model, found.height, speaks & ~far, contradict, inside,
+            xy, moved, at_model, found.height, speaks & ~far, contradict, inside, peaked,
             (HALF + 0.5) * self.step,
         )  # fmt: skip
 

@@ -95,7 +95,7 @@ def agreement_gates(
     *,
     identical: BoolArray | None = None,
     refined: bool | None = None,
-) -> dict[str, Gate]:
+) -> tuple[dict[str, Gate], float]:
     """What two whole images say of a model; no gate where they are too small or cannot be compared by intensities.
 
     Parameters
@@ -105,11 +105,15 @@ def agreement_gates(
     limits : what must be reached
     identical : (H, W) pixels that did not vote, or None
     refined : whether a refinement was of use; None where none was asked for
+
+    Returns
+    -------
+    gates, chance : log10 of the expected number of models for which as many windows speak by chance; 0 where no more do
     """
     gates: dict[str, Gate] = {}
     model = draft.model
     if isinstance(model, FailedFit):
-        return gates
+        return gates, 0.0
     if identical is not None:
         final = draft.matches.take(np.flatnonzero(draft.inliers))
         gates["identical"] = Gate(
@@ -123,7 +127,7 @@ def agreement_gates(
     without = None if identical is None or identical.all() else identical
     agreement = Agreement.of(reference, secondary, model, without)
     if agreement is None:
-        return gates
+        return gates, 0.0
     whole, other, shift, turned = agreement.whole
     windows = agreement.windows
     elsewhere = agreement.elsewhere if windows.at_model.max() >= SAME_OBJECT else None
@@ -142,8 +146,17 @@ def agreement_gates(
             meaning=f"correlation of the aligned images {which}, the best of all others, over that of the model; what "
             "repeats or is symmetric has no one model",
         )
+    if whole < COMPARABLE:
+        return gates, 0.0
+    drift = windows.drift
+    if drift is not None:
+        gates["drift"] = Gate(
+            drift,
+            high=limits.drift_px,
+            meaning=f"how far {int(windows.peaked.sum())} windows with a clear peak move together beyond the model, px",
+        )
     share = windows.contradicting
-    if share is not None and whole >= COMPARABLE:
+    if share is not None:
         few = int(windows.contradict.sum()) < LEAST_CONTRADICTING
         gates["local"] = Gate(
             0.0 if few else share,
@@ -152,7 +165,9 @@ def agreement_gates(
             + ("" if few else f": {contradiction(windows, draft, model, reference.shape)}")
             + ("; the refinement found nothing that one model explains" if refined is False else ""),
         )
-    return gates
+    # A pattern that the sensor leaves on all images speaks for any of them.
+    pattern = identical is not None and identical.all()
+    return gates, 0.0 if pattern else windows.log10_chance(2 * model.minimum)
 
 
 def contradiction(windows: Windows, draft: Draft, model: Model, shape: tuple[int, int]) -> str:

@@ -181,8 +181,10 @@ class Pipeline:
                 useful = bool(draft.stages["refine"].any())
             steps.advance()
             with stage("trust"):
-                gates = agreement_gates(draft, reference, secondary, self.limits, identical=identical, refined=useful)
-            result = self.judged(draft, *shapes, further=gates, seconds=timings, **known)
+                gates, chance = agreement_gates(
+                    draft, reference, secondary, self.limits, identical=identical, refined=useful
+                )
+            result = self.judged(draft, *shapes, further=gates, seconds=timings, chance=chance, **known)
             steps.advance()
         return replace(
             result,
@@ -272,6 +274,7 @@ class Pipeline:
         search_radius: float | None = None,
         further: Mapping[str, Gate] | None = None,
         stated: FloatArray | None = None,
+        chance: float = 0.0,
     ) -> Registration:
         """The registration of a draft, by the pipeline's own limits; parameters as `featreg.pipeline.steps.judged`.
 
@@ -288,6 +291,7 @@ class Pipeline:
             search_radius=search_radius,
             further={**competing, **(further or {})},
             stated=stated,
+            chance=chance,
         )
         provenance = {
             "method": self.name,

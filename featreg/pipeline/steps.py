@@ -216,6 +216,7 @@ def judged(
     search_radius: float | None = None,
     further: Mapping[str, Gate] | None = None,
     stated: FloatArray | None = None,
+    chance: float = 0.0,
 ) -> tuple[str, str, Mapping[str, Gate]]:
     """Return status, reason and gates of a draft.
 
@@ -227,6 +228,7 @@ def judged(
     initial, search_radius : a model known beforehand, and how far from it in pixels the result may lie
     further : gates of the caller, which count as the others do
     stated : (2, 2) linear part that the geography of both images states, if it does
+    chance : log10 of the expected number of models for which as much of the images speaks by chance
     """
     with stage("trust"):
         evidence = Evidence(
@@ -240,6 +242,7 @@ def judged(
             search_radius=search_radius,
             stated=stated,
             measured=draft.measured,
+            chance=chance,
         )
         return assess(evidence, limits, further)
 

@@ -45,7 +45,8 @@ class Limits:
     ----------
     least_inliers : distinct tie points
     least_spread : share of the cells of an 8 x 8 grid over the reference that hold an inlier
-    significance : log10 of the expected number of equally good models among chance matches, at most
+    significance : log10 of the expected number of equally good models among chance matches, or among windows of the
+        images themselves, at most
     held_out_px : median residual of the tie points of each half of the regions from the model of the other, at most;
         before the last fit chose among them
     scale : the model's scale lies between 1 / scale and scale
@@ -63,6 +64,8 @@ class Limits:
         the worst twentieth
     rival : distinct tie points of the next best model over those of the model, at most; half of it where a refinement
         found nothing
+    drift_px : root mean square over the windows of the images of the affine field in which they move beyond the model,
+        at most
     local : share of the image that moves otherwise than the model, at most; half of it where a refinement found nothing
     alias : correlation of the aligned images at the best other shift, or after half a turn, over that at the model, at
         most
@@ -80,13 +83,17 @@ class Limits:
     block_share: float = 0.1
     held_out_rmse_px: float = 2.0
     block_error_px: float = 2.0
-    stability_px: float = 1.5
+    # Of 370 trusted trials on warped pairs of every difficulty (benchmarks/trust.py, seed 31), 10 of the 12 that were
+    # more than 3 px off had 1.0 to 1.5, and 7 of the 304 within 1 px.
+    stability_px: float = 1.0
     distortion_px: float = math.inf
     dilution: float = math.inf
     # Of pairs of one place, also years apart: at most 0.3, 0.06, 0.75, and at least 0.15. Of two motions, relief,
     # repeated patterns and labels on other places: from 0.47, 0.1 and 0.86 on, and at most 0.05.
     rival: float = 0.4
     local: float = 0.1
+    # One of these pairs within 1 px had 2.05, all others at most 1.62; a model 10 px off had 6.
+    drift_px: float = 2.0
     alias: float = 0.8
     scene: float = 0.06
     identical: float = 0.5
@@ -113,6 +120,7 @@ class Evidence:
     initial, search_radius : a model known beforehand, if any, and how far from it in pixels the result may lie
     stated : (2, 2) linear part that the geography of both images states, if it states one; what is left is judged
     measured : what a refinement measured, also what its fit left out; None without one
+    chance : log10 of the expected number of models for which as much of the images themselves speaks by chance
     """
 
     matches: Matches
@@ -126,6 +134,7 @@ class Evidence:
     search_radius: float | None = None
     stated: FloatArray | None = None
     measured: Matches | None = None
+    chance: float = 0.0
 
     def left(self, model: Model) -> FloatArray:
         """(2, 2) linear part of a model at the reference's centre, beside what geography states."""
@@ -207,7 +216,7 @@ CONDITIONS = (
     Condition(
         "significance",
         "log10 of the expected number of models as good by chance",
-        lambda e, model: log10_chance(e.matches, e.putative, e.supported, model, e.secondary_shape),
+        lambda e, model: min(e.chance, log10_chance(e.matches, e.putative, e.supported, model, e.secondary_shape)),
         lambda limits, e: (None, limits.significance),
     ),
     Condition(
