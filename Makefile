@@ -1,4 +1,5 @@
-# make demo   make test   make test-fast   make bench   make kernels   make table2   make table3   make clean
+# make demo   make test   make test-fast   make test-opencv4   make bench   make kernels   make table2   make table3
+# make clean
 #
 # Needs only a Python 3.11 to 3.13 with venv (PYTHON=python3.12 make ... for another one) and the package index. Each
 # target makes .venv when it is missing and installs again when pyproject.toml changed.
@@ -8,9 +9,13 @@ VENV := .venv
 BIN := $(VENV)/bin
 WORKERS ?= 2
 EXTRAS ?= dev
+OPENCV4 := .opencv4
+# Registry, methods and plugins: what depends on OpenCV and on the version of Python.
+PLUGIN_TESTS := tests/test_registry.py tests/test_presets.py tests/interop/test_opencv.py \
+	tests/interop/test_opencv_networks.py tests/detectors tests/descriptors tests/matchers
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: demo test test-fast lint bench kernels table2 table3 clean
+.PHONY: demo test test-fast test-opencv4 lint bench kernels table2 table3 clean
 .DELETE_ON_ERROR:
 
 demo: $(VENV)/.installed
@@ -21,6 +26,11 @@ test: $(VENV)/.installed-dev lint
 
 test-fast: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup -m "not slow"
+
+# The tests of plugins with the oldest OpenCV that is supported, in a folder of its own before the other on the path.
+test-opencv4: $(VENV)/.installed-dev $(OPENCV4)/.installed
+	PYTHONPATH=$(OPENCV4) $(BIN)/python -c 'import cv2; assert cv2.__version__.startswith("4.10"), cv2.__file__'
+	PYTHONPATH=$(OPENCV4) $(BIN)/python -m pytest -q -n $(WORKERS) -m "not slow and not realdata" $(PLUGIN_TESTS)
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
@@ -42,7 +52,7 @@ table2 table3: $(VENV)/.installed
 	$(BIN)/python benchmarks/tables.py $@
 
 clean:
-	rm -rf $(VENV) build dist featreg.egg-info featreg-demo .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) $(OPENCV4) build dist featreg.egg-info featreg-demo .pytest_cache .mypy_cache .ruff_cache
 	find featreg detectors descriptors matchers tests benchmarks -name __pycache__ -prune -exec rm -rf {} +
 
 $(BIN)/python:
@@ -51,6 +61,11 @@ $(BIN)/python:
 
 $(VENV)/.installed: pyproject.toml | $(BIN)/python
 	$(PIP) install --quiet -e .
+	touch $@
+
+$(OPENCV4)/.installed: | $(BIN)/python
+	rm -rf $(OPENCV4)
+	$(PIP) install --quiet --no-deps --target $(OPENCV4) "opencv-contrib-python-headless==4.10.*"
 	touch $@
 
 $(VENV)/.installed-dev: pyproject.toml | $(BIN)/python

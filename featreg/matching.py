@@ -32,7 +32,7 @@ from featreg.runtime.threads import limited_threads, worker_count
 from featreg.runtime.timing import collecting, stage
 from featreg.runtime.watching import Canceller, Progress, cancellable, check_watch
 from featreg.sar.bridging import bridged, on_sample
-from featreg.scene.blocks import BLOCK
+from featreg.scene.blocks import BLOCK, SPLITS
 from featreg.types import FloatArray, Image
 
 if TYPE_CHECKING:
@@ -70,6 +70,7 @@ def match(
     block: int | bool | None = None,
     dem: str | Path | None = None,
     height: float | None = None,
+    split: str | None = None,
     executor: Any = None,
     workers: int | None = None,
     scheduler: str | None = None,
@@ -108,6 +109,9 @@ def match(
         docs/scenes.md). Then `n_features` is the budget of a block (default 1000)
     dem, height : heights of the ground for images with geolocation: an elevation model's file, or metres above the
         ellipsoid (default: the height offset of an RPC, else 0); in blocks only
+    split : how the secondary is divided in blocks: "prior" (default) searches each block where the prior puts it, with
+        a margin; "proportional" divides the rectangle that the overlap covers in the secondary into as many parts of
+        equal size, as the SAR-ORB paper does (section 2.2)
     executor, workers : what runs the blocks: "serial", "threads", "processes", a `concurrent.futures.Executor` or a
         `dask.distributed.Client`; None takes `workers` processes (default: every processor) where they can be forked
         safely, else threads. Of whole images `workers` is the most threads of OpenCV. How the work is run, by
@@ -139,7 +143,7 @@ def match(
     search: Any = {"seed": int(seed), "initial": known, "search_radius": search_radius}
     whole: Any = search | ({} if prior is None else {"prior": prior})
     parts: Any = {"model": model, "locate": locate, "refine": refine, "n_features": n_features, **keywords}
-    size = block_side(block, dem, height, model)
+    size = block_side(block, dem, height, model, split)
     most = MOST_PIXELS if size is None else math.inf
     given, masks = (reference, secondary), (reference_mask, secondary_mask)
     bands = bands_of({"band": band, "reference_band": reference_band, "secondary_band": secondary_band})
@@ -165,7 +169,9 @@ def match(
         here, there = (open_source(i, mask=m, band=b, **reading) for i, m, b in zip(given, masks, bands, strict=True))
         pipelines = assemble_all(method, blocks=True, **parts)
         with dask_client(scheduler, executor) as runner:
-            options = SceneOptions(size or BLOCK, runner, workers, dem, height, resume, progress, cancel, prior)
+            options = SceneOptions(
+                size or BLOCK, runner, workers, dem, height, resume, progress, cancel, prior, split or SPLITS[0]
+            )  # fmt: skip
             return registered(
                 method,
                 pipelines,
@@ -231,7 +237,7 @@ def check_keywords(keywords: Mapping[str, Any]) -> None:
     """Raise where keywords of `match` cannot be right whatever the images are: names, parameters, contradictions."""
     known = {name: value for name, value in keywords.items() if value is not None}
     check_seed(known.get("seed", 0))
-    size = block_side(known.get("block"), known.get("dem"), known.get("height"), known.get("model"))
+    size = block_side(*(known.get(name) for name in ("block", "dem", "height", "model", "split")))
     _check_running(**{name: known.get(name) for name in ("workers", "threads", "executor", "progress", "cancel")})
     if isinstance(known.get("focus"), str):
         from featreg.focusing.inputs import check_method
@@ -252,9 +258,11 @@ def _check_running(*, workers: Any, threads: Any, executor: Any, progress: Any, 
     check_watch(progress, cancel)
 
 
-def block_side(block: Any, dem: Any, height: Any, model: Any) -> int | None:
+def block_side(block: Any, dem: Any, height: Any, model: Any, split: Any = None) -> int | None:
     """Side of the blocks in which to work, 0 for the whole images at once, None where their size decides."""
-    asked = [name for name, value in (("dem", dem), ("height", height)) if value is not None]
+    if split is not None and split not in SPLITS:
+        raise ParameterError(f"split must be 'prior' or 'proportional', got {split!r:.60}")
+    asked = [name for name, value in (("dem", dem), ("height", height), ("split", split)) if value is not None]
     asked += ["model='rpc-bias'"] if model == "rpc-bias" else []
     if block is False:
         if asked:

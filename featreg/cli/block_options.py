@@ -1,4 +1,4 @@
-"""What `featreg match` adds for images that are worked on in blocks: options, progress, the dask client."""
+"""What the commands add for images that are worked on in blocks: options, progress."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ DRAWN = 1000
 
 
 @dataclass(frozen=True)
-class BlockOptions:
-    """How and whether to work in blocks."""
+class SceneOptions:
+    """Whether to work in blocks, and how the blocks of the secondary are found."""
 
     block: Annotated[
         int | None,
@@ -43,15 +43,6 @@ class BlockOptions:
     whole: Annotated[bool, typer.Option("--whole", help="Work on the whole images at once, whatever their size.")] = (
         False
     )
-    scheduler: Annotated[
-        str | None,
-        typer.Option(
-            "--scheduler",
-            metavar="ADDRESS",
-            help="Run the blocks on the dask cluster of this scheduler, as tcp://host:8786.",
-            show_default=False,
-        ),
-    ] = None
     dem: Annotated[
         str | None,
         typer.Option("--dem", metavar="FILE", help="Elevation model of the ground, for blocks.", show_default=False),
@@ -66,6 +57,45 @@ class BlockOptions:
             show_default="0",
         ),
     ] = None
+    split: Annotated[
+        str | None,
+        typer.Option(
+            "--split",
+            metavar="prior|proportional",
+            help="How the secondary is divided in blocks: each where the prior puts it, or into equal parts.",
+            show_default="prior",
+        ),
+    ] = None
+
+    def check_ground(self) -> None:
+        """Raise where two options contradict each other, or there is no elevation model of that name."""
+        used = [f"--{name}" for name in ("block", "dem", "height", "split") if getattr(self, name) is not None]
+        if self.whole and used:
+            raise ParameterError(f"--whole works on the whole images, {used[0]} is for blocks: leave one of them out")
+        if self.dem is not None and self.height is not None:
+            raise ParameterError("--dem and --height both say how high the ground is: leave one of them out")
+        if self.dem is not None and not Path(self.dem).is_file():
+            raise InputError(f"--dem '{self.dem}': no such file; give an elevation model")
+
+    def ground(self) -> dict[str, Any]:
+        """As keywords of `featreg.match` and of a protocol alike."""
+        given = {name: getattr(self, name) for name in ("dem", "height", "split")}
+        return {**given, "block": False if self.whole else self.block}
+
+
+@dataclass(frozen=True)
+class BlockOptions(SceneOptions):
+    """How and whether to work in blocks."""
+
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            "--scheduler",
+            metavar="ADDRESS",
+            help="Run the blocks on the dask cluster of this scheduler, as tcp://host:8786.",
+            show_default=False,
+        ),
+    ] = None
     resume: Annotated[
         str | None,
         typer.Option(
@@ -78,15 +108,9 @@ class BlockOptions:
 
     def check(self, workers: int | None) -> None:
         """Raise where two options contradict each other, or a folder cannot be used."""
-        used = [f"--{name}" for name in ("block", "dem", "height") if getattr(self, name) is not None]
-        if self.whole and used:
-            raise ParameterError(f"--whole works on the whole images, {used[0]} is for blocks: leave one of them out")
-        if self.dem is not None and self.height is not None:
-            raise ParameterError("--dem and --height both say how high the ground is: leave one of them out")
+        self.check_ground()
         if self.scheduler is not None and workers is not None:
             raise ParameterError("--scheduler brings its own workers: leave --workers out")
-        if self.dem is not None and not Path(self.dem).is_file():
-            raise InputError(f"--dem '{self.dem}': no such file; give an elevation model")
         if self.resume is not None:
             folder = Path(self.resume)
             if folder.exists() and not folder.is_dir():
@@ -95,15 +119,14 @@ class BlockOptions:
 
     def keywords(self) -> dict[str, Any]:
         """As keywords of `featreg.match`."""
-        given = {name: getattr(self, name) for name in ("scheduler", "dem", "height", "resume")}
-        return {**given, "block": False if self.whole else self.block}
+        return {**self.ground(), "scheduler": self.scheduler, "resume": self.resume}
 
 
 def may_be_blocks(options: BlockOptions, files: Sequence[str]) -> bool:
     """Whether the images may be worked on in blocks, told before anything is imported that could read them."""
     if options.whole:
         return False
-    asked = any(value is not None for value in (options.block, options.dem, options.height))
+    asked = any(value is not None for value in (options.block, options.dem, options.height, options.split))
     return asked or any(_size(file) > LARGE_BYTES for file in files)
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from featreg.cli import comparison_options
+from featreg.cli.block_options import SceneOptions
 from featreg.cli.comparison_options import OutputOptions, RunOptions
 from featreg.cli.option_sets import offered, takes
 from featreg.cli.options import MethodOptions, parse_settings
@@ -59,6 +60,7 @@ def compare(
     ] = None,
     *,
     method: MethodOptions,
+    scene: SceneOptions,
     how: RunOptions,
     output: OutputOptions,
 ) -> None:
@@ -75,14 +77,15 @@ def compare(
             raise ParameterError("missing option '--methods'; see 'featreg compare --help'")
         from featreg.study.experiment import Experiment
 
-        parameters = parse_settings(method.settings, {"method"} | offered(MethodOptions, RunOptions, OutputOptions))
+        named = {"method"} | offered(MethodOptions, SceneOptions, RunOptions, OutputOptions)
+        parameters = parse_settings(method.settings, named)
         names = _names(methods)
         found = Experiment(
             comparison_options.pairs_of(images or [], how.truth or []),
             _usable(parameters) if names == [ALL] else names,
             parameters,
             seeds=how.seeds(method),
-            protocol=how.protocol(method),
+            protocol=how.protocol(method, scene),
             metrics=comparison_options.metrics_of(how.metrics, layout),
         )
     comparison_options.run(found, how, output, "comparing", layout)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
+from featreg.cli.block_options import SceneOptions
 from featreg.cli.options import (
     MethodOptions,
     announce_compiling,
@@ -111,12 +112,14 @@ class RunOptions:
         ),
     ] = True
 
-    def protocol(self, method: MethodOptions) -> Protocol:
+    def protocol(self, method: MethodOptions, scene: SceneOptions) -> Protocol:
         """The protocol that these options and those of the method state."""
         from featreg.study.protocol import Protocol
 
+        scene.check_ground()
         timing = self.workers == 1 if self.times is None else self.times
-        return Protocol(threshold=self.threshold, time_limit=self.time_limit, timing=timing, **method.keywords())
+        said = {**method.keywords(), **scene.ground()}
+        return Protocol(threshold=self.threshold, time_limit=self.time_limit, timing=timing, **said)
 
     def seeds(self, method: MethodOptions) -> range:
         """The seeds of the repetitions."""

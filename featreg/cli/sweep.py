@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from featreg.cli import comparison_options
+from featreg.cli.block_options import SceneOptions
 from featreg.cli.comparison_options import OutputOptions, RunOptions
 from featreg.cli.option_sets import offered, takes
 from featreg.cli.options import MethodOptions, parse_settings, parse_value
@@ -38,6 +39,7 @@ def sweep(
     ] = "sar-orb",
     *,
     common: MethodOptions,
+    scene: SceneOptions,
     how: RunOptions,
     output: OutputOptions,
 ) -> None:
@@ -49,7 +51,8 @@ def sweep(
     from featreg.study.experiment import Experiment
 
     points = parse_grid(grid)
-    parameters = parse_settings(common.settings, {"method"} | offered(MethodOptions, RunOptions, OutputOptions))
+    named = {"method"} | offered(MethodOptions, SceneOptions, RunOptions, OutputOptions)
+    parameters = parse_settings(common.settings, named)
     for key in points:
         if key in parameters or common.keywords().get(key) is not None:
             raise ParameterError(f"'{key}' is swept, so it cannot be set as well")
@@ -59,7 +62,7 @@ def sweep(
         parameters,
         points,
         seeds=how.seeds(common),
-        protocol=how.protocol(common),
+        protocol=how.protocol(common, scene),
         metrics=comparison_options.metrics_of(how.metrics, None),
     )
     comparison_options.run(found, how, output, "sweeping")

@@ -60,6 +60,7 @@ KEYWORDS = (
     Keyword("block", "blocks", "--block or --whole"),
     Keyword("dem", "blocks", "--dem"),
     Keyword("height", "blocks", "--height"),
+    Keyword("split", "blocks", "--split"),
     Keyword("executor", "run"),
     Keyword("workers", "run", "--workers"),
     Keyword("scheduler", "run", "--scheduler"),

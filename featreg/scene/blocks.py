@@ -16,6 +16,8 @@ from featreg.pipeline.refine import Refine
 
 #: Side of a block in pixels, as in the SAR-ORB paper (section 2.2).
 BLOCK = 600
+#: How the secondary is divided: where the prior puts each block, or into equal parts as in section 2.2 of that paper.
+SPLITS = ("prior", "proportional")
 #: Smallest side: below it the halo is most of what is read.
 SMALLEST = 128
 #: The halo is a multiple of this, so that the levels of a pyramid begin alike.
@@ -54,6 +56,17 @@ def plan_blocks(area: Window, size: int = BLOCK) -> tuple[Block, ...]:
         for col, (left, right) in enumerate(pairwise(xs)):
             blocks.append(Block(len(blocks), row, col, Window(left, top, right - left, bottom - top)))
     return tuple(blocks)
+
+
+def proportional_part(part: Window, area: Window, other: Window) -> Window:
+    """The part of a rectangle that corresponds to a part of another one, edges rounded to whole pixels.
+
+    Parts that share an edge share it there too, so that blocks tile the other rectangle.
+    """
+    across, down = other.width / area.width, other.height / area.height
+    left, right = (other.x + round((x - area.x) * across) for x in (part.x, part.x + part.width))
+    top, bottom = (other.y + round((y - area.y) * down) for y in (part.y, part.y + part.height))
+    return Window(left, top, right - left, bottom - top)
 
 
 def spread_out(blocks: tuple[Block, ...], count: int) -> tuple[Block, ...]:

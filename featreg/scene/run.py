@@ -13,10 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from featreg.errors import CancelledError, InputError, ParameterError
+from featreg.errors import CancelledError, InputError, NoOverlapError, ParameterError
 from featreg.geolocation import ConstantHeight, DemHeights, Heights, RpcBias, Transfer, ground_level, sensor_of
 from featreg.interfaces import Matcher, Model
 from featreg.io.raster_source import Source
+from featreg.io.window import Window
 from featreg.pipeline.frame import linear_at
 from featreg.pipeline.inputs import input_image
 from featreg.pipeline.pipeline import Pipeline
@@ -28,13 +29,13 @@ from featreg.runtime.parameters import check
 from featreg.runtime.timing import collecting, stage
 from featreg.runtime.versions import versions
 from featreg.runtime.watching import Canceller, Progress, cancellable
-from featreg.scene.blocks import Block, halo_of, plan_blocks, spread_out
+from featreg.scene.blocks import SPLITS, Block, halo_of, plan_blocks, spread_out
 from featreg.scene.first_prior import first_prior
 from featreg.scene.merge import Merged, accuracy, block_errors, block_gates, concatenated, fit_refined, merge
 from featreg.scene.prior import Prior, corrected
 from featreg.scene.record import block_table, seconds_of, with_final
 from featreg.scene.state import BlockFiles, check_folder, digest_of
-from featreg.scene.task import BlockResult, Job, run_block
+from featreg.scene.task import BlockResult, Job, run_block, search_window
 from featreg.types import Matches
 
 #: Most and fewest pilot blocks.
@@ -49,7 +50,7 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class SceneOptions:
-    """How a scene is worked on; nothing here changes the result but `block`, `dem` and `height`.
+    """How a scene is worked on; nothing here changes the result but `block`, `dem`, `height`, `prior` and `split`.
 
     Parameters
     ----------
@@ -61,6 +62,7 @@ class SceneOptions:
     progress : called with (blocks done, blocks in all)
     cancel : when set, the work stops with a `CancelledError`
     prior : "none" leaves aside where the files say they lie, "geolocation" asks for it; None takes it where it is
+    split : "prior" or "proportional", see `featreg.match`
     """
 
     block: int
@@ -72,6 +74,7 @@ class SceneOptions:
     progress: Progress | None = None
     cancel: Canceller | None = None
     prior: str | None = None
+    split: str = SPLITS[0]
 
     def heights(self, *sources: Source) -> tuple[Heights, str]:
         """The heights of the ground under the scenes, and where they come from."""
@@ -142,8 +145,12 @@ def match_scene(
             blocks = plan_blocks(area, options.block)
             pipeline = replace(pipeline, n_features=pipeline.n_features * len(blocks))
             job = _job(pipeline, matcher, *shared, seed, executor, len(blocks), initial)
+            if options.split == "proportional":
+                job = replace(job, areas=_areas(prior, area, secondary), halo=0)
+                # Each block is compared with a whole part, whatever the prior claims.
+                prior = replace(prior, uncertainty_px=max(prior.uncertainty_px, options.block / 2))
             with stage("prior"):
-                prior = _piloted(job, prior, blocks, executor, options.cancel, seed)
+                prior = prior if job.areas else _piloted(job, prior, blocks, executor, options.cancel, seed)
             with stage("blocks"):
                 results, counts = _all_blocks(
                     job, prior, blocks, executor, options, pipeline, (reference, secondary), heights
@@ -224,6 +231,14 @@ def _job(
         max(1, pipeline.n_features // count), halo_of(matcher, pipeline.locate, pipeline.refine),
         executor.own_process, initial, pipeline.locate,
     )  # fmt: skip
+
+
+def _areas(prior: Prior, area: Window, secondary: Source) -> tuple[Window, Window]:
+    """The overlap in the reference, and the upright rectangle that it covers in the secondary."""
+    there = search_window(replace(prior, uncertainty_px=0.0), area, secondary.shape)
+    if there is None:
+        raise NoOverlapError(f"the prior ({prior.source}) maps no part of the reference into the secondary")
+    return area, there
 
 
 def _piloted(
@@ -317,6 +332,7 @@ def _ingredients(
         "parameters": pipeline.parameters,
         "model": None if model is None else [model[0].parameters, model[1]],
         "seed": job.seed,
+        "areas": None if job.areas is None else [list(vars(window).values()) for window in job.areas],
         "n_features": job.n_features,
         "halo": job.halo,
         "prior": [prior.record(), base.parameters if isinstance(base, Transfer | Model) else repr(base)],

@@ -23,7 +23,7 @@ from featreg.pipeline.refine import Refine
 from featreg.pipeline.steps import ROUNDS, SCALE_PX, filtered, survivors
 from featreg.runtime.timing import collecting, stage
 from featreg.sar.bridging import bridged, on_samples
-from featreg.scene.blocks import Block
+from featreg.scene.blocks import Block, proportional_part
 from featreg.scene.prior import Prior
 from featreg.scene.window_model import WindowModel
 from featreg.types import BoolArray, FloatArray, Image, IntArray, Matches
@@ -58,6 +58,8 @@ class Job:
     halo : pixels read beyond a block on each side
     own_process : whether the work is done in a process of its own, whose library threads are ours to set
     initial : a model known beforehand, in pixels of the scenes, which filters may ask for
+    areas : the overlap in the reference and in the secondary, where the second is divided in proportion to the first
+        and the prior is not asked for each block
     """
 
     reference: Source
@@ -72,6 +74,7 @@ class Job:
     own_process: bool = False
     initial: Model | None = None
     locate: Locate | None = None
+    areas: tuple[Window, Window] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +130,10 @@ def run_block(job: Job, prior: Prior, block: Block) -> BlockResult:
 
 def _matched(job: Job, prior: Prior, block: Block) -> BlockResult:
     here = block.window.grown(job.halo)
-    there = search_window(prior, here, job.secondary.shape)
+    if job.areas is None:
+        there = search_window(prior, here, job.secondary.shape)
+    else:
+        there = proportional_part(here, *job.areas).within(job.secondary.shape)
     if there is None:
         return BlockResult(block.index, "skipped", "outside the secondary")
     with stage("read"):
@@ -138,11 +144,11 @@ def _matched(job: Job, prior: Prior, block: Block) -> BlockResult:
             why = skip_reason(secondary, "secondary")
     if why:
         return BlockResult(block.index, "skipped", why, window=there)
-    frame = _frame(job, prior, here, there)
+    frame = None if job.areas else _frame(job, prior, here, there)
     if frame is not None:
         with stage("prior"):
             secondary = frame.resampled(secondary)
-    expected = _linear_prior(prior, here, there, frame)
+    expected = None if job.areas else _linear_prior(prior, here, there, frame)
     if expected is None:
         found = job.matcher.match(reference, secondary)
     else:

@@ -27,6 +27,7 @@ from featreg.study.jobs import (
     load_methods,
     outcome,
     predict,
+    times_of,
 )
 from featreg.study.prediction_cache import PredictionCache
 from featreg.types import FloatArray
@@ -92,7 +93,7 @@ class _Engine:
         self.done, self.total = 0, 0
         for job in jobs:
             pair, method = pairs[job.pair], methods[job.method]
-            key = store.key(pair.name, (pair.reference, pair.secondary), method.with_seed(job.seed))
+            key = store.key(pair.name, (pair.reference, pair.secondary), pair.keywords(method.with_seed(job.seed)))
             kept, act = store.read(key)
             self.keys[job] = key
             if kept is not None:
@@ -191,13 +192,14 @@ class _Engine:
                         made = outcome(self._submit(executor, job).result)
                     self.results.setdefault(job, made)
                     if self.how.timing and not isinstance(made, str):
-                        self.act[job] = {name: float(seconds) for name, seconds in made.timings.items()}
+                        self.act[job] = times_of(made)
                     self.store.write(self.keys[job], self.results[job], self.act.get(job))
                 self._step()
 
     def _submit(self, executor: Executor, job: Job) -> Future[Registration | str]:
         pair = self.pairs[job.pair]
-        return executor.submit(predict, pair.reference, pair.secondary, self.methods[job.method].with_seed(job.seed))
+        keywords = pair.keywords(self.methods[job.method].with_seed(job.seed))
+        return executor.submit(predict, pair.reference, pair.secondary, keywords)
 
     def _keypoint_calls(self) -> dict[str, tuple[Any, dict[str, Any], str | None]]:
         """Name -> (image, keywords, key in the store) of every detection that is needed, each once."""

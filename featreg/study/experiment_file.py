@@ -54,6 +54,8 @@ def write_experiment(data: Mapping[str, Any], path: Path) -> None:
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(f"experiment '{path}' must be a {', '.join(SUFFIXES)} file")
     whole = {key: _plain(value, key) for key, value in data.items()}
+    if "protocol" in whole:
+        whole["protocol"] = _with_dem(whole["protocol"], lambda p: _relative(p, path.parent))
     whole["pairs"] = [_moved(pair, lambda p: _relative(p, path.parent)) for pair in whole.get("pairs", [])]
     if path.suffix.lower() == ".toml":
         import tomli_w
@@ -117,7 +119,7 @@ def _arguments(data: Any, folder: Path) -> dict[str, Any]:
         if key in found and not isinstance(found[key], kind):
             raise InputError(f"{key} must be {words}, got {found[key]!r}")
     if "protocol" in found:
-        found["protocol"] = Protocol.from_dict(found["protocol"])
+        found["protocol"] = Protocol.from_dict(_with_dem(found["protocol"], lambda p: _beside(p, folder)))
     if "metrics" in found:
         found["metrics"] = check_metrics(found["metrics"])
     found["pairs"] = [pair for i, given in enumerate(data["pairs"], start=1) for pair in _pairs(given, i, folder)]
@@ -139,6 +141,12 @@ def _pairs(given: Any, number: int, folder: Path) -> Iterator[Any]:
         return
     parts(given, where)
     yield _moved(given, lambda p: _beside(p, folder))
+
+
+def _with_dem(protocol: Mapping[str, Any], move: Callable[[str], str]) -> dict[str, Any]:
+    """The protocol with the path of its elevation model rewritten."""
+    dem = protocol.get("dem")
+    return {**protocol, "dem": move(dem)} if isinstance(dem, str) else {**protocol}
 
 
 def _moved(pair: Any, move: Callable[[str], str]) -> Any:

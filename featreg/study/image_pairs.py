@@ -15,7 +15,7 @@ from typing import Any
 
 from featreg.errors import FeatregError, InputError, suggest
 from featreg.io.source_names import parse_source
-from featreg.study.jobs import Pair
+from featreg.study.jobs import HEIGHTS, Pair
 from featreg.study.truth import TRUTH_SUFFIXES, Truth, read_truth
 
 ENDINGS = (
@@ -26,7 +26,7 @@ IMAGE_SUFFIXES = (
     ".tif", ".tiff", ".png", ".jpg", ".jpeg", ".bmp", ".npy", ".mat", ".jp2", ".img", ".ntf", ".nitf", ".vrt", ".h5",
     ".nc", ".slc", ".dat", ".zip",
 )  # fmt: skip
-PAIR_KEYS = ("reference", "secondary", "truth", "name")
+PAIR_KEYS = ("reference", "secondary", "truth", "name", *HEIGHTS)
 
 
 def resolve(given: Sequence[Any]) -> list[Pair]:
@@ -44,7 +44,8 @@ def resolve(given: Sequence[Any]) -> list[Pair]:
         paths = [Path(p) for p in (getattr(image, "name", image) for image in images) if isinstance(p, str | Path)]
         usual = " / ".join(p.stem for p in paths) if len(paths) == 2 and paths[0] != paths[1] else f"pair {i}"
         known = None if truth is None else _truth(truth, images, f"pair {i}")
-        found.append(Pair(usual if name is None else name, images[0], images[1], known))
+        heights = _heights(pair, f"pair {i}") if isinstance(pair, Mapping) else {}
+        found.append(Pair(usual if name is None else name, images[0], images[1], known, heights))
     if not found:
         raise InputError("a comparison needs at least one pair (reference, secondary)")
     if len({pair.name for pair in found}) < len(found):
@@ -66,6 +67,18 @@ def parts(pair: Any, where: str) -> tuple[Any, Any, Any, str | None]:
     if isinstance(pair, str) or not isinstance(pair, Sequence) or not 2 <= len(pair) <= 3:
         raise InputError(f"{where} must be (reference, secondary) or (reference, secondary, truth)")
     return pair[0], pair[1], pair[2] if len(pair) == 3 else None, None
+
+
+def _heights(pair: Mapping[str, Any], where: str) -> dict[str, Any]:
+    given = {name: pair[name] for name in HEIGHTS if pair.get(name) is not None}
+    if len(given) > 1:
+        raise InputError(f"{where}: heights come from 'dem' or from 'height', not from both")
+    dem, height = given.get("dem"), given.get("height")
+    if dem is not None and not Path(dem).is_file():
+        raise InputError(f"{where}: no elevation model '{dem}'")
+    if height is not None and (isinstance(height, bool) or not isinstance(height, int | float)):
+        raise InputError(f"{where}: height must be a number of metres, got {height!r}")
+    return given
 
 
 def pairs_in(folder: str | Path) -> list[dict[str, str]]:

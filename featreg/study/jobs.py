@@ -15,16 +15,29 @@ from featreg.study.truth import Truth
 from featreg.types import FloatArray, Image
 
 ROLES = ("reference", "secondary")
+#: The stage of a scene in which its blocks are matched.
+BLOCKS = "blocks"
+#: What says how high the ground of a pair is.
+HEIGHTS = ("dem", "height")
 
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """Two images, what they are called together, and where the points of one lie in the other."""
+    """Two images, what they are called together, where the points of one lie in the other, and how high the ground is.
+
+    `heights` is ``{"dem": file}`` or ``{"height": metres}``, in place of what the protocol says for all pairs.
+    """
 
     name: str
     reference: Any
     secondary: Any
     truth: Truth | None = None
+    heights: Mapping[str, Any] = field(default_factory=dict)
+
+    def keywords(self, method: Mapping[str, Any]) -> dict[str, Any]:
+        """The keywords of a method on this pair."""
+        common = {name: value for name, value in method.items() if not self.heights or name not in HEIGHTS}
+        return common | dict(self.heights)
 
 
 @dataclass(frozen=True)
@@ -87,10 +100,27 @@ def predict(reference: Any, secondary: Any, keywords: Mapping[str, Any]) -> Regi
             if isinstance(image, Image):
                 image.release()
         with single_threaded():
-            made: Registration = match(reference, secondary, **keywords)
+            made: Registration = match(reference, secondary, **_one_after_the_other(keywords))
             return made
 
     return outcome(run)
+
+
+def _one_after_the_other(keywords: Mapping[str, Any]) -> dict[str, Any]:
+    """The blocks of a scene are run serially unless the method says otherwise: the jobs are what is spread."""
+    said = any(keywords.get(name) is not None for name in ("executor", "workers", "scheduler"))
+    return {**keywords} if said else {**keywords, "executor": "serial"}
+
+
+def times_of(made: Registration) -> dict[str, float]:
+    """Stage -> seconds. Of a scene the stages of all its blocks stand under ``blocks.STAGE`` and count once."""
+    times = {name: float(seconds) for name, seconds in made.timings.items()}
+    inside = made.provenance.get("block_seconds")
+    if not isinstance(inside, Mapping) or "blocks" not in times:
+        return times
+    parts = {f"{BLOCKS}.{name}": float(seconds) for name, seconds in inside.items()}
+    # Blocks that ran side by side took more seconds than the clock shows.
+    return times | parts | {BLOCKS: max(0.0, times[BLOCKS] - sum(parts.values()))}
 
 
 def outcome(call: Callable[[], Registration | str]) -> Registration | str:

@@ -45,7 +45,7 @@ def latex(
     label : for references, without "tab:"
     """
     columns = [name for name in titles if name not in ("status", "reason")]
-    sides = "".join("r" if name in (*table.metrics, "act") else "l" for name in columns)
+    sides = "".join("r" if name in table.metrics else "l" for name in columns)
     fair: list[Sequence[Mapping[str, Any]]] = [parts[0], judged]
     trusted = [row for row in table.rows if row["status"] == "ok"]
     body: list[str] = []
@@ -111,7 +111,7 @@ def _row(
         text = escape(table.cell(row, name))
         if name == "method":
             text += escape(f" ({row['status']})") if summary else MARKS.get(row["status"], "")
-        elif not text and name in (*table.metrics, "act"):
+        elif not text and name in table.metrics:
             text = "--"
         may_win = (summary or row["status"] == "ok") and text != "inf"
         text = r"$\infty$" if text == "inf" else text

@@ -8,20 +8,20 @@ from typing import Any
 from featreg.errors import ParameterError, UnknownNameError
 from featreg.study.metrics import metric_of
 
-#: Layout -> column -> title, as in Tables 2 and 3 of the SAR-ORB paper. ACT is the time of one block.
+#: Layout -> column -> title, as in Tables 2 and 3 of the SAR-ORB paper, and the time of a scene beside that of its
+#: blocks.
 LAYOUTS: Mapping[str, Mapping[str, str]] = {
     "table2": {
         "pair": "Image pair", "method": "Method", "ncm": "NCM", "rmse": "RMSE", "time_s": "Computational time (s)",
     },
     "table3": {
         "pair": "Image pair", "method": "Method", "blocks": "Blocks", "nm": "NM", "ncm": "NCM",
-        "precision": "Precision", "rmse": "RMSE", "act": "ACT (s)",
+        "precision": "Precision", "rmse": "RMSE", "act": "ACT (s)", "around_s": "Around (s)",
     },
 }  # fmt: skip
 #: Metrics that a layout needs.
 NEEDS: Mapping[str, tuple[str, ...]] = {
-    name: tuple("time_s" if column == "act" else column for column in columns if column not in ("pair", "method"))
-    for name, columns in LAYOUTS.items()
+    name: tuple(column for column in columns if column not in ("pair", "method")) for name, columns in LAYOUTS.items()
 }
 
 
@@ -29,9 +29,9 @@ NEEDS: Mapping[str, tuple[str, ...]] = {
 TITLES: Mapping[str, str] = {
     "pair": "Image pair", "method": "Method", "seed": "Seed", "nm": "NM", "ncm": "NCM", "precision": "Precision",
     "rmse": "RMSE (px)", "grid_rmse": "Grid RMSE (px)", "inliers": "Tie points", "rotation_deg": "Rotation (°)",
-    "time_s": "Time (s)", "act": "ACT (s)", "blocks": "Blocks", "spread": "Spread", "mma": "MMA",
-    "repeatability": "Repeatability", "recall": "Recall", "matching_score": "Matching score", "failed": "Failed",
-    "refused": "Refused",
+    "time_s": "Time (s)", "act": "ACT (s)", "around_s": "Around (s)", "blocks": "Blocks", "spread": "Spread",
+    "mma": "MMA", "repeatability": "Repeatability", "recall": "Recall", "matching_score": "Matching score",
+    "failed": "Failed", "refused": "Refused",
 }  # fmt: skip
 #: The same of metrics of a number of pixels.
 FAMILY_TITLES: Mapping[str, str] = {"mma": "MMA", "success": "Success", "auc": "AUC", "wrong": "Wrong"}
@@ -61,20 +61,17 @@ def columns_of(
     ParameterError
         The table lacks a metric that the layout shows.
     """
-    missing = [name for name in NEEDS[layout] if name not in columns and name != "blocks"]
+    optional = ("blocks", "around_s")
+    missing = [name for name in NEEDS[layout] if name not in columns and name not in optional]
     if missing:
         raise ParameterError(f"layout '{layout}' needs the metrics {', '.join(NEEDS[layout])}; {missing[0]} is missing")
-    titles = dict(LAYOUTS[layout])
-    if "blocks" in titles and "blocks" not in columns:
-        del titles["blocks"]
+    titles = {name: title for name, title in LAYOUTS[layout].items() if name in columns or name not in optional}
     if "seed" in columns:
         titles = {"pair": titles.pop("pair"), "method": titles.pop("method"), "seed": "Seed", **titles}
     shown: list[Mapping[str, Any]] = []
     last = None
     for row in sorted(rows, key=lambda row: [r["pair"] for r in rows].index(row["pair"])):
-        time_s, blocks = row["time_s"], row.get("blocks")
-        act = None if time_s is None else time_s / (blocks or 1)
-        shown.append({**row, "pair": "" if row["pair"] == last else row["pair"], "act": act})
+        shown.append({**row, "pair": "" if row["pair"] == last else row["pair"]})
         last = row["pair"]
     return titles, [shown]
 
@@ -82,11 +79,10 @@ def columns_of(
 def best_of(row: Mapping[str, Any], name: str, rivals: Sequence[Mapping[str, Any]]) -> bool:
     """Whether a row has the best value of a column among its rivals, which must be more than one."""
     try:
-        better = metric_of("time_s" if name == "act" else name).better
+        better = metric_of(name).better
     except (UnknownNameError, ParameterError):
         return False
-    key = "time_s" if name == "act" else name
-    values = [other[key] for other in rivals if other["status"] != "failed" and other[key] is not None]
+    values = [other[name] for other in rivals if other["status"] != "failed" and other[name] is not None]
     if not better or len(values) < 2 or row["status"] == "failed":
         return False
-    return bool(row[key] == (max if better == "higher" else min)(values))
+    return bool(row[name] == (max if better == "higher" else min)(values))

@@ -26,6 +26,7 @@ def _number(value: Any, low: float | None = None, high: float = float("inf")) ->
 
 
 _NAME = (lambda value: isinstance(value, str), "a name")
+_TEXT = (lambda value: isinstance(value, str | Path), "the name of a file")
 _BAND = (lambda value: _number(value, 0) or isinstance(value, str), "a name or a number from 1")
 _SWITCH = (lambda value: isinstance(value, bool), "true or false")
 #: Field of a protocol -> whether a value is possible, and what is; those that are None by default may be None.
@@ -42,6 +43,13 @@ VALUES: Mapping[str, tuple[Callable[[Any], bool], str]] = {
     "band": _BAND,
     "reference_band": _BAND,
     "secondary_band": _BAND,
+    "block": (
+        lambda value: isinstance(value, bool) or (_number(value, 0) and isinstance(value, int | np.integer)),
+        "a whole number of pixels >= 1, true or false",
+    ),
+    "dem": _TEXT,
+    "height": (_number, "a number of metres"),
+    "split": _NAME,
     "time_limit": (lambda value: _number(value, 0), "a number of seconds > 0"),
     "timing": _SWITCH,
     "warm_up": _SWITCH,
@@ -63,6 +71,7 @@ class Protocol:
     model : geometric model; None for each method's own
     locate, refine : measuring the matches again, and refinement, on or off for all; None for each method's own
     scale, nodata, band, reference_band, secondary_band : what the samples are, as `featreg.match` takes them
+    block, dem, height, split : of scenes, as `featreg.match` takes them; a pair's own heights come first
     time_limit : s, of one job in its own process; None for no limit
     timing : measure times in a serial pass
     warm_up : discard the first call of each method when times are measured
@@ -81,6 +90,10 @@ class Protocol:
     band: str | int | None = None
     reference_band: str | int | None = None
     secondary_band: str | int | None = None
+    block: int | bool | None = None
+    dem: str | Path | None = None
+    height: float | None = None
+    split: str | None = None
     time_limit: float | None = None
     timing: bool = True
     warm_up: bool = True
@@ -115,8 +128,9 @@ class Protocol:
 
     def keywords(self) -> dict[str, Any]:
         """The part that decides what is matched, as keywords of `featreg.match`."""
+        method = ("n_features", "filters", "model", "locate", "refine")
         reading = ("scale", "nodata", "band", "reference_band", "secondary_band")
-        given = {name: getattr(self, name) for name in ("n_features", "filters", "model", "locate", "refine", *reading)}
+        given = {name: getattr(self, name) for name in (*method, *reading, "block", "dem", "height", "split")}
         return {name: list(v) if name == "filters" else v for name, v in given.items() if v is not None}
 
     def to_dict(self) -> dict[str, Any]:

@@ -346,7 +346,7 @@ def _text(row: Mapping[str, Any], name: str) -> str:
     if name in HEAD + TAIL:
         return str(value)
     try:
-        count = name != "act" and metric_of(name).count
+        count = metric_of(name).count
     except LookupError:
         return f"{value:g}"
     return f"{value:g}" if count else f"{value:.3f}"

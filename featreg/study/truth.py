@@ -68,11 +68,11 @@ def read_truth(truth: TruthLike, images: tuple[Any, Any] | None = None) -> Truth
     truth : a `Truth`, `Model` or `Registration`; a (2, 3) or (3, 3) matrix reference -> secondary; a dense flow
         (H, W, 2) of displacements (dx, dy) in pixels, NaN where unknown; marked points (N, 4) as
         (reference x, y, secondary x, y), N >= 4; or a path: ``.npy`` (any of these arrays), ``.json`` (a result of
-        featreg, a model, or ``{"matrix": ...}``), ``.txt`` or ``.csv`` (a matrix, or marked points with or without a
-        header naming reference_x, reference_y, secondary_x and secondary_y), ``.points`` (marked in QGIS) or ``.pts``
-        (marked in ENVI). The word "identity" stands for two images on one grid; "geolocation" for what the images
-        themselves say of where they lie, over ground at 0 m, and "geolocation:HEIGHT" over ground at so many metres
-        above the ellipsoid or over the elevation model of that name.
+        featreg, a model, ``{"matrix": ...}``, or the truth of a simulated scene), ``.txt`` or ``.csv`` (a matrix, or
+        marked points with or without a header naming reference_x, reference_y, secondary_x and secondary_y),
+        ``.points`` (marked in QGIS) or ``.pts`` (marked in ENVI). The word "identity" stands for two images on one
+        grid; "geolocation" for what the images themselves say of where they lie, over ground at 0 m, and
+        "geolocation:HEIGHT" over ground at so many metres above the ellipsoid or over the elevation model of that name.
     images : (reference, secondary) as `featreg.match` takes them; needed for "geolocation", and for points that were
         marked on a map
 
@@ -228,6 +228,10 @@ def _from_json(path: Path, what: str) -> Truth:
         if not data.get("model"):
             return _from_model(FailedFit(str(data.get("model_failure", "model is null"))), what)
         return Truth(model_from_dict(data["model"]), "model")
+    if "terrain" in data:
+        from featreg.simulate.scene import read_scene_truth
+
+        return Truth(read_scene_truth(path), "geometry of a simulated scene")
     if "type" in data and "parameters" in data:
         return Truth(model_from_dict(data), "model")
     if "matrix" not in data:

@@ -19,6 +19,7 @@ from featreg.types import Features
 
 NETWORKS = [("detector", "opencv-aliked"), ("detector", "opencv-disk"), ("nearest", "opencv-lightglue")]
 IMAGE = np.random.default_rng(0).gamma(4, size=(64, 80)).astype(np.float32)
+networks = pytest.mark.skipif(not hasattr(cv2, "ALIKED_create"), reason="this OpenCV has no networks for points")
 five = pytest.mark.skipif(not hasattr(cv2, "ANNIndex_create"), reason="needs OpenCV 5")
 
 
@@ -79,6 +80,7 @@ class Network:
         return [cv2.DMatch(1, 2, 0.25)]
 
 
+@networks
 @pytest.mark.parametrize("name", ["opencv-aliked", "opencv-disk"])
 def test_what_a_network_finds_becomes_features(name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     detector: Any = registry.create("detector", name, weights=str(tmp_path / "net.onnx"), n_features=2)
@@ -89,6 +91,7 @@ def test_what_a_network_finds_becomes_features(name: str, monkeypatch: pytest.Mo
     assert found.scale.tolist() == [8, 8]
 
 
+@networks
 def test_lightglue_is_told_where_the_points_lie(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     nearest: Any = registry.create("nearest", "opencv-lightglue", weights=str(tmp_path / "net.onnx"))
     monkeypatch.setattr(type(nearest.row), "network", lambda *_: Network())

@@ -301,10 +301,10 @@ def test_the_protocol_says_when_methods_are_not_treated_alike(folder: Path) -> N
 
 
 def test_layouts_of_the_paper(folder: Path) -> None:
-    metrics = ["blocks", "nm", "ncm", "precision", "rmse", "time_s"]
+    metrics = ["blocks", "nm", "ncm", "precision", "rmse", "time_s", "act", "around_s"]
     table = experiment(folder, protocol={}, metrics=metrics).run(isolate=False).table()
     lines = table.to_markdown(layout="table3").splitlines()
-    assert lines[0] == "| Image pair | Method | Blocks | NM | NCM | Precision | RMSE | ACT (s) |"
+    assert lines[0] == "| Image pair | Method | Blocks | NM | NCM | Precision | RMSE | ACT (s) | Around (s) |"
     assert [line.split(" | ")[0] for line in lines[2:6]] == ["| city", "| ", "| port", "| "]
     assert table.to_csv(layout="table2").splitlines()[0] == "Image pair,Method,NCM,RMSE,Computational time (s)"
     latex = table.to_latex(layout="table3")

@@ -99,7 +99,8 @@ def test_keypoints_that_both_images_show() -> None:
 def test_without_truth_only_what_needs_none() -> None:
     found = measured([*METRICS, *(f"{name}@3" for name in FAMILIES)], case(truth=None))
     there = {name for name, value in found.items() if value is not None}
-    assert there == {"nm", "inliers", "time_s", "blocks", "spread", "failed", "refused", "rotation_deg"}
+    times = {"time_s", "act", "around_s"}
+    assert there == {"nm", "inliers", "blocks", "spread", "failed", "refused", "rotation_deg", *times}
     assert measured(["rotation_deg"], case(Affine(np.eye(3)[:2]), truth=None)) == {"rotation_deg": 0.0}
 
 
