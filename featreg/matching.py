@@ -19,11 +19,12 @@ from featreg.io.bands import BandLike, check_band
 from featreg.io.images import small_image
 from featreg.io.masks import MaskLike
 from featreg.io.raster_source import open_source
-from featreg.pipeline.assembly import DEFAULT_METHOD, assemble_all
+from featreg.pipeline.assembly import assemble_all
 from featreg.pipeline.choosing import registered
 from featreg.pipeline.feature_matcher import FeatureMatcher
 from featreg.pipeline.keywords import bands_of, of_pipeline
 from featreg.pipeline.pipeline import Pipeline
+from featreg.presets import DEFAULT_METHOD
 from featreg.results.registration import Registration
 from featreg.runtime.cluster import dask_client
 from featreg.runtime.executors import check_executor
@@ -291,7 +292,7 @@ def _prior(prior: Any, initial: Any, search_radius: float | None) -> tuple[str |
         raise ParameterError(f"prior must be 'none', 'geolocation' or the file of a result, got {prior!r:.60}")
     if not Path(prior).is_file():
         raise ParameterError(f"prior '{prior}' is neither 'none' nor 'geolocation', and no such file is there")
-    return None, Registration.from_json(prior), PRIOR_PX if search_radius is None else search_radius
+    return None, Registration.from_json(prior, tie_points=False), PRIOR_PX if search_radius is None else search_radius
 
 
 def _initial(initial: Any, search_radius: float | None) -> Model | None:

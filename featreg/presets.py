@@ -188,6 +188,9 @@ def _kornia(summary: str, detector: Part, descriptor: Part | None, nearest: Part
 _SMNN = Part("kornia-smnn")
 
 
+#: What `featreg.match` takes where nothing is said.
+DEFAULT_METHOD = "sar-orb"
+
 PRESETS: Mapping[str, Preset] = {
     "auto": Preset(
         "sar-orb, and sar-dense where that is not trusted; the other way round where the images differ in speckle",

@@ -1,20 +1,18 @@
-"""What the commands add for images that are worked on in blocks: options, progress."""
+"""Options of work in blocks, and pictures of what is too large for one."""
 
 from __future__ import annotations
 
 import math
 import os
-import sys
-import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from featreg.cli.options import check_folder, number, whole_number
+from featreg.cli.options import check_folder, number, saying_when_interrupted, whole_number
 from featreg.errors import InputError, ParameterError
 
 if TYPE_CHECKING:
@@ -24,6 +22,40 @@ if TYPE_CHECKING:
 LARGE_BYTES = 4_000_000
 #: Least longer side of the overview of a large image in a picture, px; a panel has 900.
 DRAWN = 1000
+
+
+@dataclass(frozen=True)
+class ClusterOptions:
+    """Where work of many parts is run, and where what is finished is kept."""
+
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            "--scheduler",
+            metavar="ADDRESS",
+            help="Run the blocks on the dask cluster of this scheduler, as tcp://host:8786.",
+            show_default=False,
+        ),
+    ] = None
+    resume: Annotated[
+        str | None,
+        typer.Option(
+            "--resume",
+            metavar="DIR",
+            help="Keep finished blocks in this folder, and use those that are there.",
+            show_default=False,
+        ),
+    ] = None
+
+    def check(self, workers: int | None) -> None:
+        """Raise where two options contradict each other, or a folder cannot be used."""
+        if self.scheduler is not None and workers is not None:
+            raise ParameterError("--scheduler brings its own workers: leave --workers out")
+        if self.resume is not None:
+            folder = Path(self.resume)
+            if folder.exists() and not folder.is_dir():
+                raise InputError(f"--resume '{folder}' is a file, a folder is needed")
+            check_folder(folder if folder.is_dir() else folder.parent, f"--resume '{folder}'")
 
 
 @dataclass(frozen=True)
@@ -84,38 +116,13 @@ class SceneOptions:
 
 
 @dataclass(frozen=True)
-class BlockOptions(SceneOptions):
+class BlockOptions(ClusterOptions, SceneOptions):
     """How and whether to work in blocks."""
-
-    scheduler: Annotated[
-        str | None,
-        typer.Option(
-            "--scheduler",
-            metavar="ADDRESS",
-            help="Run the blocks on the dask cluster of this scheduler, as tcp://host:8786.",
-            show_default=False,
-        ),
-    ] = None
-    resume: Annotated[
-        str | None,
-        typer.Option(
-            "--resume",
-            metavar="DIR",
-            help="Keep finished blocks in this folder, and use those that are there.",
-            show_default=False,
-        ),
-    ] = None
 
     def check(self, workers: int | None) -> None:
         """Raise where two options contradict each other, or a folder cannot be used."""
         self.check_ground()
-        if self.scheduler is not None and workers is not None:
-            raise ParameterError("--scheduler brings its own workers: leave --workers out")
-        if self.resume is not None:
-            folder = Path(self.resume)
-            if folder.exists() and not folder.is_dir():
-                raise InputError(f"--resume '{folder}' is a file, a folder is needed")
-            check_folder(folder if folder.is_dir() else folder.parent, f"--resume '{folder}'")
+        super().check(workers)
 
     def keywords(self) -> dict[str, Any]:
         """As keywords of `featreg.match`."""
@@ -158,32 +165,7 @@ def image_to_draw(file: str, **reading: Any) -> tuple[Image, int]:
     return source.overview(factor), factor
 
 
-@contextmanager
-def kept_when_interrupted(resume: str | None) -> Iterator[None]:
-    """Say how to go on after Ctrl-C."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        if resume is not None:
-            typer.echo(f"interrupted; the finished blocks are kept: --resume '{resume}' goes on from there", err=True)
-        raise
-
-
-def block_progress() -> Callable[[int, int], None] | None:
-    """A callback that keeps one line with blocks, rate and time left, or None when nobody looks at stderr."""
-    if not sys.stderr.isatty():
-        return None
-    start: list[tuple[float, int]] = []
-
-    def show(done: int, total: int) -> None:
-        now = time.monotonic()
-        if not start:
-            start.append((now, done))
-        elapsed, fresh = now - start[0][0], done - start[0][1]
-        text = f"blocks: {done} of {total}"
-        if fresh > 0 and elapsed > 0:
-            rate = fresh / elapsed
-            text += f", {rate:.1f} a second, {(total - done) / rate:.0f} s left"
-        typer.echo(f"\r{text:<60}", err=True, nl=done == total)
-
-    return show
+def kept_when_interrupted(resume: str | None) -> AbstractContextManager[None]:
+    """Let Ctrl-C say how to go on from the blocks that are kept."""
+    kept = f"the finished blocks are kept: --resume '{resume}' goes on from there"
+    return saying_when_interrupted(None if resume is None else kept)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from featreg.cli import comparison_options
+from featreg.cli import comparison_options, completion
 from featreg.cli.block_options import SceneOptions
 from featreg.cli.comparison_options import OutputOptions, RunOptions
 from featreg.cli.option_sets import offered, takes
@@ -37,7 +37,11 @@ def compare(
     methods: Annotated[
         str | None,
         typer.Option(
-            "--methods", metavar="A,B,C", help="Names from `featreg list method`, or all.", show_default=False
+            "--methods",
+            metavar="A,B,C",
+            help="Names from `featreg list method`, or all.",
+            show_default=False,
+            autocompletion=completion.several_methods,
         ),
     ] = None,
     experiment: Annotated[
@@ -56,6 +60,7 @@ def compare(
             metavar="NAME",
             help="table2 or table3: the columns of these tables of the SAR-ORB paper.",
             show_default=False,
+            autocompletion=completion.words("table2", "table3"),
         ),
     ] = None,
     *,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
+from featreg.cli import completion
 from featreg.cli.block_options import SceneOptions
 from featreg.cli.options import (
     MethodOptions,
@@ -19,8 +21,10 @@ from featreg.cli.options import (
     check_output,
     counter,
     number,
+    saying_when_interrupted,
     whole_number,
 )
+from featreg.cli.terminal import print_styled, terminal_width
 from featreg.errors import FeatregError, InputError, ParameterError
 from featreg.pipeline.keywords import bands_of
 
@@ -30,7 +34,7 @@ if TYPE_CHECKING:
     from featreg.study.protocol import Protocol
     from featreg.study.table import Table
 
-FORMATS = ("md", "csv", "latex", "json")
+FORMATS = ("text", "md", "csv", "latex", "json")
 LAYOUTS = ("table2", "table3")
 OUTPUTS = {".md": "to_markdown", ".csv": "to_csv", ".tex": "to_latex", ".json": "to_json", ".parquet": "to_parquet"}
 EXPERIMENTS = (".yaml", ".yml", ".toml")
@@ -78,6 +82,7 @@ class RunOptions:
             help="Columns of the table instead of the usual ones, or with a + in front beside them, as in "
             "+auc@3,recall,mma@3,act.detect.",
             show_default=False,
+            autocompletion=completion.metrics,
         ),
     ] = None
     workers: Annotated[
@@ -209,12 +214,22 @@ def check_images(experiment: Experiment) -> None:
 class OutputOptions:
     """What is printed and written, and where results are kept."""
 
-    layout_format: Annotated[str, typer.Option("--format", metavar="FORMAT", help="md, csv, latex or json.")] = "md"
+    layout_format: Annotated[
+        str | None,
+        typer.Option(
+            "--format",
+            metavar="FORMAT",
+            help="What is printed: text, md, csv, latex or json.",
+            show_default="text in a terminal, else md",
+            autocompletion=completion.words(*FORMATS),
+        ),
+    ] = None
     out: Annotated[
         str | None,
         typer.Option(
-            "--out",
+            "--output",
             "-o",
+            "--out",
             metavar="FILE",
             help="Write the table too: .md, .csv, .tex, .json or .parquet.",
             show_default=False,
@@ -245,11 +260,12 @@ class OutputOptions:
 
     def check(self, layout: str | None = None) -> None:
         """Raise where something could not be written or printed, before any work is done for it."""
-        check_name(self.layout_format, FORMATS, "format")
+        if self.layout_format is not None:
+            check_name(self.layout_format, FORMATS, "format")
         if layout is not None:
             check_name(layout, LAYOUTS, "layout")
             if self.layout_format == "json":
-                raise ParameterError("--layout is for --format md, csv or latex; JSON holds everything")
+                raise ParameterError("--layout is for --format text, md, csv or latex; JSON holds everything")
         check_output(self.out, "--out", suffixes=tuple(OUTPUTS))
         if layout is not None and self.out is not None and Path(self.out).suffix.lower() in (".json", ".parquet"):
             raise ParameterError(f"--layout is for --out .md, .csv or .tex; '{self.out}' would hold everything")
@@ -262,10 +278,13 @@ class OutputOptions:
     def write(self, study: Study, layout: str | None = None) -> Table:
         """Print the table of a study and write what was asked for."""
         table = study.table()
-        if self.layout_format == "json":
+        chosen_format = self.layout_format or ("text" if sys.stdout.isatty() else "md")
+        if chosen_format == "json":
             typer.echo(table.to_json(), nl=False)
+        elif chosen_format == "text":
+            print_styled(table.styled_lines(layout, terminal_width()))
         else:
-            printed = {"md": table.to_markdown, "csv": table.to_csv, "latex": table.to_latex}[self.layout_format]
+            printed = {"md": table.to_markdown, "csv": table.to_csv, "latex": table.to_latex}[chosen_format]
             typer.echo(printed(layout=layout), nl=False)
         if self.out is not None:
             suffix = Path(self.out).suffix.lower()
@@ -288,5 +307,7 @@ def run(
     if output.save is not None:
         experiment.to_file(output.save)
     announce_compiling()
-    study = experiment.run(workers=how.workers, isolate=how.isolate, resume=output.resume, progress=counter(text))
+    kept = f"the finished results are kept: --resume '{output.resume}' goes on from there"
+    with saying_when_interrupted(None if output.resume is None else kept):
+        study = experiment.run(workers=how.workers, isolate=how.isolate, resume=output.resume, progress=counter(text))
     raise typer.Exit(4 if output.write(study, layout).failed else 0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from featreg.cli.options import COMPILING, check_folder, progress
+from featreg.cli.simulate import write_images, write_truth
 
 if TYPE_CHECKING:
     from featreg.results.registration import Registration
@@ -38,7 +38,8 @@ class Demonstration:
 
 def demo(
     out: Annotated[
-        str, typer.Option("--out", metavar="DIR", help="Folder for images, pictures and results.")
+        str,
+        typer.Option("--output", "-o", "--out", metavar="DIR", help="Folder for images, pictures and results."),
     ] = "featreg-demo",
 ) -> None:
     """Try everything on a simulated pair.
@@ -94,7 +95,7 @@ def demonstrate(
     InputError
         The folder cannot be written.
     """
-    from featreg.io import as_image, write_geotiff
+    from featreg.io import as_image
     from featreg.matching import match
     from featreg.pictures.drawing import draw_registration
     from featreg.pictures.panels import display
@@ -104,16 +105,14 @@ def demonstrate(
 
     say = progress or (lambda text: None)
     folder = Path(folder)
-    _make(folder)
     say(f"simulating two SAR images of {shape[1]} x {shape[0]} pixels")
     pair = sar_pair(shape, seed=seed)
     files = []
+    write_images(folder, {"reference.tif": pair.reference, "secondary.tif": pair.secondary})
     for role, array in (("reference", pair.reference), ("secondary", pair.secondary)):
-        write_geotiff(folder / f"{role}.tif", array)
         write_atomic(folder / f"{role}.png", _png(display(as_image(array))))
         files += [(folder / f"{role}.tif", f"{role} image, float32 amplitude"), (folder / f"{role}.png", "to look at")]
-    matrix = json.dumps({"matrix": pair.truth.tolist()}, indent=2)
-    write_atomic(folder / "truth.json", f"{matrix}\n".encode())
+    write_truth(folder, {"matrix": pair.truth.tolist()})
     files.append((folder / "truth.json", "exact truth, reference -> secondary"))
 
     paths = folder / "reference.tif", folder / "secondary.tif"
@@ -129,15 +128,6 @@ def demonstrate(
     table.to_markdown(folder / "comparison.md")
     files.append((folder / "comparison.md", "the table"))
     return Demonstration(registration, table, files)
-
-
-def _make(folder: Path) -> None:
-    from featreg.errors import InputError
-
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot make the folder '{folder}': {error.strerror}") from error
 
 
 def _png(gray: object) -> bytes:

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from featreg.cli import completion
 from featreg.cli.options import check_name, check_output
 
 #: Held beside `featreg.exports.formats` by a test, so that help needs no import of it.
@@ -17,7 +18,16 @@ def export(
     result_file: Annotated[
         str, typer.Argument(metavar="RESULT.json", help="What `featreg match --json` wrote.", show_default=False)
     ],
-    to: Annotated[str, typer.Option("--to", metavar="FORMAT", help=f"One of {', '.join(NAMES)}.", show_default=False)],
+    to: Annotated[
+        str,
+        typer.Option(
+            "--to",
+            metavar="FORMAT",
+            help=f"One of {', '.join(NAMES)}.",
+            show_default=False,
+            autocompletion=completion.words(*NAMES),
+        ),
+    ],
     output: Annotated[
         str,
         typer.Option(

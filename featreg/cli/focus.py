@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from featreg.cli import completion
 from featreg.cli.options import BandOption, check_name, check_output, counter, number, progress, whole_number
 from featreg.errors import InputError, ParameterError
 from featreg.runtime.threads import limited_threads
@@ -37,7 +38,13 @@ def focus(
         ),
     ],
     method: Annotated[
-        str, typer.Option("--method", metavar="NAME", help="auto, mea, pmea, mca, pga or legendre.")
+        str,
+        typer.Option(
+            "--method",
+            metavar="NAME",
+            help="auto, mea, pmea, mca, pga or legendre.",
+            autocompletion=completion.focus_methods,
+        ),
     ] = "auto",
     azimuth_axis: Annotated[
         int,

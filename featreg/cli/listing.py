@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from featreg.cli import completion
+from featreg.cli.terminal import print_styled
 from featreg.errors import FeatregError, UnknownNameError, suggest
 
 if TYPE_CHECKING:
@@ -76,6 +78,7 @@ def list_names(
             metavar="[KIND | NAME]",
             help=f"A kind ({', '.join(KINDS)}), or what is to be shown in full; without it, all kinds.",
             show_default=False,
+            autocompletion=completion.listed_names,
         ),
     ] = None,
     verbose: Annotated[
@@ -99,9 +102,12 @@ def list_names(
         typer.echo(json.dumps(listed, indent=2))
         return
     for kind in shown:
-        typer.echo(f"{kind}{'' if items[kind] else ' (none yet)'}")
+        print_styled([[(kind, "bold cyan"), ("" if items[kind] else " (none yet)", "")]])
         for item in items[kind]:
-            typer.echo(_in_full(item) if verbose else _line(item, max(len(i.name) for i in items[kind])))
+            if verbose:
+                typer.echo(_in_full(item))
+            else:
+                print_styled([_line(item, max(len(i.name) for i in items[kind]))])
     for item in named:
         typer.echo(f"{item.kind}\n{_in_full(item)}")
     if broken():
@@ -127,11 +133,24 @@ def _items(kind: str) -> list[Item]:
     return found
 
 
-def _line(item: Item, width: int) -> str:
+def _line(item: Item, width: int) -> list[tuple[str, str]]:
+    """One line, cut at the width of the terminal; `featreg list NAME` says all."""
     text = item.summary
     if item.unavailable:
         text = f"{text.removesuffix('.')}; unavailable: {item.unavailable}"
-    return _wrapped(f"{item.name:<{width}}  {text}", 2, width + 2)
+        if _columns() is not None:  # the reason comes first where there is no room for both
+            text = f"unavailable: {item.unavailable}"
+    name, left = f"  {item.name:<{width}}  ", _columns()
+    if left is not None and len(name) + len(text) > left:
+        text = text[: max(0, left - len(name) - 3)].rstrip() + "..."
+    return [(name, "dim" if item.unavailable else "bold"), (text, "dim" if item.unavailable else "")]
+
+
+def _columns() -> int | None:
+    """Width of the terminal; None where there is none, as for `grep`."""
+    if not (sys.stdout.isatty() or "COLUMNS" in os.environ):
+        return None
+    return max(40, shutil.get_terminal_size().columns)
 
 
 def _in_full(item: Item) -> str:
@@ -197,13 +216,14 @@ def _limits(one: Parameter) -> dict[str, Any]:
 
 
 def _wrapped(text: str, pad: int, hang: int = 0) -> str:
-    """Wrapped at the width of the terminal; whole where there is none, as for `grep`."""
+    """Wrapped at the width of the terminal, where there is one."""
     first, rest = " " * pad, " " * (pad + hang)
-    if not (sys.stdout.isatty() or "COLUMNS" in os.environ):
+    width = _columns()
+    if width is None:
         return first + text
     return textwrap.fill(
         text,
-        max(40, shutil.get_terminal_size().columns),
+        width,
         initial_indent=first,
         subsequent_indent=rest,
         break_long_words=False,

@@ -11,13 +11,15 @@ import logging
 import os
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import redirect_stderr, redirect_stdout
+from functools import wraps
 from typing import Annotated, Any
 
 import typer
 
 from featreg._version import __version__
+from featreg.cli.completion import asked_words
 from featreg.errors import FeatregError, UnknownNameError, suggest
 from featreg.runtime.progress import close_bars
 
@@ -36,6 +38,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "focus": ("focus", "focus"),
     "mark": ("mark", "mark"),
     "list": ("listing", "list_names"),
+    "simulate": ("simulate", "simulate"),
     "demo": ("demo", "demo"),
     "doctor": ("doctor", "doctor"),
 }
@@ -60,16 +63,32 @@ def application(arguments: Sequence[str]) -> typer.Typer:
     """The command line as far as these arguments need it: all commands, or the one that they name."""
     app = typer.Typer(
         help=HELP,
-        add_completion=False,
         rich_markup_mode=None,
         context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
     )
     app.callback(invoke_without_command=True)(root)
     named = _command(arguments)
-    for name in COMMANDS if named is None else (named,):
+    for name in (named,) if named in COMMANDS else COMMANDS:
         module, function = COMMANDS[name]
-        app.command(name)(getattr(importlib.import_module(f"featreg.cli.{module}"), function))
+        app.command(name)(_interruptible(getattr(importlib.import_module(f"featreg.cli.{module}"), function)))
     return app
+
+
+class _StoppedError(Exception):
+    """Ctrl-C during a command, with the notes that the command left."""
+
+
+def _interruptible(command: Callable[..., None]) -> Callable[..., None]:
+    """The same command, whose interruption passes through the library that parses the command line as it is."""
+
+    @wraps(command)
+    def run(*arguments: Any, **options: Any) -> None:
+        try:
+            command(*arguments, **options)
+        except KeyboardInterrupt as stop:
+            raise _StoppedError(*getattr(stop, "__notes__", ())) from None
+
+    return run
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -94,12 +113,16 @@ def _run(given: Sequence[str]) -> int:
             if not sys.warnoptions:
                 warnings.simplefilter("ignore")
             _check_command(given)
+            # A shell that asks what could follow gives the words on its line, and no arguments.
+            words = asked_words()
             try:
-                code = application(given)(args=given, prog_name="featreg", standalone_mode=False)
+                code = application(given if words is None else words)(
+                    args=given, prog_name="featreg", standalone_mode=False
+                )
             finally:
                 close_bars()
-    except KeyboardInterrupt:
-        return 130
+    except (KeyboardInterrupt, _StoppedError) as stop:
+        return _interrupted(stop)
     except SystemExit as stop:
         # The library that parses the command line takes every broken pipe for that of its output.
         if isinstance(stop.__context__, BrokenPipeError):
@@ -111,6 +134,8 @@ def _run(given: Sequence[str]) -> int:
         logger.removeHandler(notes)
     for line in dict.fromkeys(notes.lines):
         typer.echo(f"warning: {line}", err=True)
+    if code == 130:
+        return _interrupted(KeyboardInterrupt())
     return code if isinstance(code, int) else 0
 
 
@@ -128,7 +153,7 @@ def _check_command(arguments: Sequence[str]) -> None:
 def _explain(error: Exception, arguments: Sequence[str]) -> int:
     """Print one line about an error and return the exit code."""
     if isinstance(error, typer.Abort):
-        return 130
+        return _interrupted(error)
     if isinstance(error, FeatregError):
         code, text = 2, str(error)
     elif isinstance(error, MemoryError) or type(error).__name__ == "_ArrayMemoryError":
@@ -147,6 +172,14 @@ def _explain(error: Exception, arguments: Sequence[str]) -> int:
             text += ", set FEATREG_TRACEBACK=1 to see where"
     typer.echo(f"error: {' '.join(text.split())}", err=True)
     return code
+
+
+def _interrupted(stop: BaseException) -> int:
+    """Say that the work was stopped by hand, with what the command adds to that, and return the exit code."""
+    # The terminal has shown ^C where its cursor was.
+    start = "\n" if sys.stderr.isatty() else ""
+    typer.echo(start + "; ".join(["interrupted", *map(str, stop.args)]), err=True)
+    return 130
 
 
 def _of_proj(error: Exception) -> str:

@@ -53,7 +53,7 @@ def mark(
         from featreg.interfaces import FailedFit
         from featreg.results.registration import Registration
 
-        found = Registration.from_json(initial).model
+        found = Registration.from_json(initial, tie_points=False).model
         if isinstance(found, FailedFit):
             raise InputError(f"--initial '{initial}' holds no model: {found.reason}")
         model = found

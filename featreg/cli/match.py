@@ -1,19 +1,27 @@
-"""`featreg match`: one pair of images."""
+"""`featreg match`: one pair of images, or a list of pairs."""
 
 from __future__ import annotations
 
-import math
 import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from featreg.cli.block_options import BlockOptions, block_progress, image_to_draw, kept_when_interrupted, may_be_blocks
+from featreg.cli import completion
+from featreg.cli.block_options import BlockOptions, image_to_draw, kept_when_interrupted, may_be_blocks
+from featreg.cli.match_summary import summary
 from featreg.cli.option_sets import takes
 from featreg.cli.options import (
+    STDOUT,
+    MaskOptions,
     MethodOptions,
     announce_compiling,
     check_output,
+    counter,
     distance,
     parse_settings,
     progress,
@@ -21,6 +29,7 @@ from featreg.cli.options import (
 )
 from featreg.errors import InputError, ParameterError
 from featreg.pipeline.keywords import KEYWORDS, bands_of
+from featreg.presets import DEFAULT_METHOD
 from featreg.runtime.threads import limited_threads
 
 if TYPE_CHECKING:
@@ -31,8 +40,16 @@ RADIUS = 20.0
 
 @takes
 def match(
-    reference: Annotated[str, typer.Argument(metavar="REF", help="Reference image.", show_default=False)],
-    secondary: Annotated[str, typer.Argument(metavar="SEC", help="Secondary image.", show_default=False)],
+    reference: Annotated[
+        str,
+        typer.Argument(
+            metavar="REF",
+            help="Reference image; without SEC, a list of pairs (CSV: reference,secondary[,output]) or a folder of "
+            "images named in pairs.",
+            show_default=False,
+        ),
+    ],
+    secondary: Annotated[str | None, typer.Argument(metavar="SEC", help="Secondary image.", show_default=False)] = None,
     method: Annotated[
         str | None,
         typer.Option(
@@ -40,11 +57,33 @@ def match(
             metavar="NAME",
             help="One of `featreg list method`.",
             show_default="auto: sar-orb, else sar-dense; with --set, sar-orb",
+            autocompletion=completion.methods,
         ),
     ] = None,
     *,
+    output: Annotated[
+        str | None,
+        typer.Option(
+            "--output",
+            "-o",
+            "--json",
+            metavar="FILE|DIR",
+            help="Write the whole result as JSON, with - to standard output; of a list of pairs, the folder in which "
+            "the results and a summary are written.",
+            show_default="of a list, the folder in which it lies",
+        ),
+    ] = None,
+    plot: Annotated[
+        str | None,
+        typer.Option(
+            "--plot",
+            metavar="FILE.png|DIR",
+            help="Draw tie points and overlay; of a list of pairs, all into a folder.",
+            show_default=False,
+        ),
+    ] = None,
     common: MethodOptions,
-    blocks: BlockOptions,
+    masks: MaskOptions,
     focus: Annotated[
         str | None,
         typer.Option(
@@ -52,6 +91,7 @@ def match(
             metavar="METHOD",
             help="Autofocus of complex images first (azimuth down the columns): auto, mea, pmea, mca, pga or legendre.",
             show_default=False,
+            autocompletion=completion.focus_methods,
         ),
     ] = None,
     initial: Annotated[
@@ -80,26 +120,7 @@ def match(
             show_default=f"{RADIUS:g}",
         ),
     ] = None,
-    mask_reference: Annotated[
-        str | None,
-        typer.Option(
-            "--mask-reference", metavar="FILE", help="Image of the same size, 0 = no data.", show_default=False
-        ),
-    ] = None,
-    mask_secondary: Annotated[
-        str | None,
-        typer.Option(
-            "--mask-secondary", metavar="FILE", help="Image of the same size, 0 = no data.", show_default=False
-        ),
-    ] = None,
-    json_file: Annotated[
-        str | None,
-        typer.Option("--json", metavar="FILE", help="Write the whole result.", show_default=False),
-    ] = None,
-    plot: Annotated[
-        str | None,
-        typer.Option("--plot", metavar="FILE.png", help="Draw tie points and overlay.", show_default=False),
-    ] = None,
+    blocks: BlockOptions,
     workers: Annotated[
         int | None,
         typer.Option(
@@ -115,67 +136,139 @@ def match(
 
     Finds tie points, fits a geometric model and judges whether it can be trusted.
 
-    Images are files, product folders, archives or datasets (file.h5:/name) of some twenty formats, see docs/formats.md.
-    Exit code 3 means that the result, which is
-    still written, cannot be trusted. Large images are worked on in blocks, which can be spread over processes or a
-    cluster and kept in a folder, so that a run that was stopped goes on where it was.
+    Images are files (GeoTIFF, NITF, SICD, SAFE, CEOS, ENVI, HDF5, PNG and others; real or complex samples), product
+    folders, archives or datasets (file.h5:/name): some twenty formats, see docs/formats.md. Exit code 3 means that the
+    result, which is still written, cannot be trusted. Large images are worked on in blocks, which can be spread over
+    processes or a cluster and kept in a folder, so that a run that was stopped goes on where it was.
+
+    Of a list of pairs each gets a line, a result and a row of the summary; a pair that cannot be matched is a row with
+    its reason and makes the exit code 4. Started again, it takes what is finished and unchanged from where it was
+    written.
     """
-    given = (reference, secondary, initial, prior, mask_reference, mask_secondary, blocks.dem)
-    inputs = [file for file in given if file is not None]
-    check_output(json_file, "--json", inputs=inputs)
+    request = MatchRequest(method, common, masks, focus, initial, prior, search_radius, blocks, workers)
+    request.check()
+    if secondary is None:
+        from featreg.cli.match_pairs import is_list, match_pairs
+
+        if not is_list(reference):
+            raise ParameterError("missing argument 'SEC'; see 'featreg match --help'")
+        raise typer.Exit(match_pairs(reference, output, plot, request))
+    inputs = [file for file in (reference, secondary, *request.files) if file is not None]
+    check_output(output, "--json", inputs=inputs, stdout=True)
     check_output(plot, "--plot", suffixes=[".png"], inputs=inputs)
-    settings = parse_settings(common.settings, (keyword.name for keyword in KEYWORDS if keyword.option))
-    if initial is None and prior is None and search_radius is not None:
-        raise ParameterError("--search-radius needs --initial RESULT.json, the result around which to search")
-    blocks.check(workers)
-    in_blocks = may_be_blocks(blocks, [reference, secondary])
-    if in_blocks:
-        from featreg.runtime.workers import keep_freed_memory
-
-        keep_freed_memory()
-    with kept_when_interrupted(blocks.resume), limited_threads(workers, 1 if in_blocks else None):
-        from featreg.matching import match as register
-        from featreg.pipeline.assembly import DEFAULT_METHOD
-        from featreg.results.registration import Registration
-
-        if initial is not None:
-            search_radius = RADIUS if search_radius is None else search_radius
+    text = ""
+    with kept_when_interrupted(blocks.resume), request.running([reference, secondary]) as in_blocks:
         announce_compiling()
         progress(f"registering '{secondary}' to '{reference}'")
-        result = register(
-            reference,
-            secondary,
-            # What --set names is a part or a parameter of one method.
-            method=method or (DEFAULT_METHOD if settings else "auto"),
-            seed=common.seed,
-            initial=None if initial is None else _known_model(Registration.from_json(initial), initial),
-            search_radius=search_radius,
-            prior=prior,
-            reference_mask=mask_reference,
-            secondary_mask=mask_secondary,
-            focus=focus,
-            workers=workers,
-            progress=block_progress() if in_blocks else None,
-            **common.keywords(),
-            **blocks.keywords(),
-            **settings,
-        )
+        result = request.match(reference, secondary, progress=counter("blocks") if in_blocks else None)
         written = []
-        if json_file is not None:
-            result.to_json(json_file)
-            written.append(json_file)
-        if plot is not None:
-            from featreg.pictures.drawing import draw_registration
+        if output == STDOUT:
+            from featreg.results.json_file import registration_text
 
-            reading: Any = {"nodata": common.nodata, "scale": common.scale}
-            bands = bands_of(common.keywords())
-            here, factor = image_to_draw(reference, mask=mask_reference, band=bands[0], **reading)
-            there, far_factor = image_to_draw(secondary, mask=mask_secondary, band=bands[1], **reading)
-            draw_registration(here, there, result, plot, factors=(factor, far_factor))
+            text = registration_text(result)
+        elif output is not None:
+            result.to_json(output)
+            written += [output, *_beside(result, output)]
+        if plot is not None:
+            request.draw(reference, secondary, result, plot)
             written.append(plot)
     # What goes to standard output itself may be read by a machine.
-    typer.echo(summary(result, written), err=json_file is not None and _is_stdout(json_file))
+    said = summary(result, written)
+    if text:
+        typer.echo(said, err=True)
+        typer.echo(text, nl=False)
+    else:
+        typer.echo(said, err=output is not None and _is_stdout(output))
     raise typer.Exit(0 if result.status == "ok" else 3)
+
+
+@dataclass(frozen=True)
+class MatchRequest:
+    """How a pair is to be matched, whichever it is."""
+
+    method: str | None
+    common: MethodOptions
+    masks: MaskOptions
+    focus: str | None
+    initial: str | None
+    prior: str | None
+    search_radius: float | None
+    blocks: BlockOptions
+    workers: int | None
+
+    @property
+    def files(self) -> tuple[str | None, ...]:
+        """Files that are read beside the images."""
+        return (self.initial, self.prior, self.masks.mask_reference, self.masks.mask_secondary, self.blocks.dem)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Parts and parameters of the method."""
+        return parse_settings(self.common.settings, (keyword.name for keyword in KEYWORDS if keyword.option))
+
+    def check(self) -> None:
+        """Raise where options contradict each other."""
+        if self.initial is None and self.prior is None and self.search_radius is not None:
+            raise ParameterError("--search-radius needs --initial RESULT.json, the result around which to search")
+        self.blocks.check(self.workers)
+        # Before any work: a misspelt setting.
+        _ = self.settings
+
+    def keywords(self, initial: str | None = None) -> dict[str, Any]:
+        """As keywords of `featreg.match`, how it is run apart; `initial` comes before that of all pairs."""
+        known = self.initial if initial is None else initial
+        radius = self.search_radius
+        return {
+            # What --set names is a part or a parameter of one method.
+            "method": self.method or (DEFAULT_METHOD if self.settings else "auto"),
+            "seed": self.common.seed,
+            "initial": None if known is None else _known_model(known),
+            "search_radius": RADIUS if known is not None and radius is None else radius,
+            "prior": None if initial is not None else self.prior,
+            "focus": self.focus,
+            **self.masks.keywords(),
+            **self.common.keywords(),
+            **self.blocks.keywords(),
+            **self.settings,
+        }
+
+    def match(self, reference: str, secondary: str, **more: Any) -> Registration:
+        """Match a pair; `more` are keywords of `featreg.match` that come before those of all pairs."""
+        from featreg.matching import match as register
+
+        return register(reference, secondary, **{**self.keywords(), "workers": self.workers, **more})
+
+    @contextmanager
+    def running(self, files: Sequence[str]) -> Iterator[bool]:
+        """Where to match: with as many threads as it shall have; it gives whether it may be in blocks."""
+        in_blocks = may_be_blocks(self.blocks, files)
+        if in_blocks:
+            from featreg.runtime.workers import keep_freed_memory
+
+            keep_freed_memory()
+        with limited_threads(self.workers, 1 if in_blocks else None):
+            yield in_blocks
+
+    def draw(
+        self, reference: str, secondary: str, result: Registration, path: str, masks: Mapping[str, Any] | None = None
+    ) -> None:
+        """Draw a result into a PNG file; `masks` are those of this pair, where it has its own."""
+        from featreg.pictures.drawing import draw_registration
+
+        reading: Any = {"nodata": self.common.nodata, "scale": self.common.scale}
+        bands = bands_of(self.common.keywords())
+        known = self.masks.keywords() if masks is None else masks
+        here, factor = image_to_draw(reference, mask=known["reference_mask"], band=bands[0], **reading)
+        there, far_factor = image_to_draw(secondary, mask=known["secondary_mask"], band=bands[1], **reading)
+        draw_registration(here, there, result, path, factors=(factor, far_factor))
+
+
+def _beside(result: Registration, path: str) -> list[str]:
+    """The file of tie points that a result of very many has beside it."""
+    from featreg.results.json_file import MAX_ROWS, tie_point_file
+
+    beside = tie_point_file(Path(path))
+    return [f"{beside} (its tie points)"] if len(result.matches) > MAX_ROWS and beside.is_file() else []
 
 
 def _is_stdout(path: str) -> bool:
@@ -185,78 +278,11 @@ def _is_stdout(path: str) -> bool:
         return False
 
 
-def summary(result: Registration, written: list[str]) -> str:
-    """Return what a person wants to know of a result, in a few lines."""
-    import numpy as np
-
-    from featreg.study.evaluation import computing_time
-
-    provenance = result.provenance
-    verdict = "ok" if result.status == "ok" else f"unreliable: {result.reason}"
-    lines = [verdict, f"  method      {provenance['method']}, seed {provenance['seed']}"]
-    tried = [f"{one['method']} {one['status']}" for one in provenance.get("choice", {}).get("tried", ())]
-    lines += [f"  tried       {', '.join(tried)}"] if tried else []
-    if result.model:
-        trust = "" if result.status == "ok" else " (not to be trusted)"
-        lines.append(f"  model       {_describe(result)}{trust}")
-    putative = int(result.putative.sum())
-    chain = [f"{putative} putative", *(f"{int(mask.sum())} after {name}" for name, mask in result.stages.items())]
-    lines.append(f"  tie points  {int(result.inliers.sum())} final: {', '.join(chain)}")
-    if result.model and result.inliers.any():
-        rmse = float(np.sqrt(np.mean(result.residuals()[result.inliers] ** 2)))
-        lines.append(f"  residuals   RMSE {rmse:.2f} px over the final tie points")
-    blocks = provenance.get("blocks")
-    accuracy = provenance.get("accuracy", {})
-    if "blocks_px" in accuracy:
-        held_out, local = result.gates["held_out_rmse"].value, accuracy["blocks_px"]
-        text = "" if held_out is None else f"RMSE {held_out:.2f} px over tie points held out of the fit, "
-        local = f"median {local['median']:.2f}, 95 % {local['percentile95']:.2f}, worst {local['worst']:.2f} px"
-        lines.append(f"  accuracy    {text}by block {local}")
-    if blocks:
-        counts = ", ".join(f"{blocks[name]} {name}" for name in ("computed", "reused", "skipped", "failed"))
-        lines.append(f"  blocks      {blocks['total']} of about {blocks['size']} px: {counts}")
-    stages = ", ".join(f"{name} {seconds:.2f}" for name, seconds in result.timings.items())
-    lines.append(f"  seconds     {computing_time(result.timings):.2f}: {stages}")
-    if written:
-        lines.append(f"  written     {', '.join(written)}")
-    return "\n".join(lines)
-
-
-def _describe(result: Registration) -> str:
-    """The model in words: its kind, and what it does at the centre of the reference."""
-    import numpy as np
-
-    from featreg.geometry import decompose, local_linear
+def _known_model(path: str) -> Any:
     from featreg.interfaces import FailedFit
-    from featreg.registry import model_name
+    from featreg.results.registration import Registration
 
-    model = result.model
-    if isinstance(model, FailedFit):
-        return f"none: {model.reason}"
-    height, width = (1, 1) if result.reference is None else result.reference.shape
-    centre = np.array([[(width - 1) / 2, (height - 1) / 2]])
-    linear = decompose(local_linear(model, centre)[0])
-    dx, dy = (model(centre) - centre)[0]
-    errors = result.standard_errors
-    if errors:
-        sx, sy = errors["shift_se_px"]
-        return (
-            f"{model_name(type(model))}: rotation {linear.rotation_deg:+.3f} +- {errors['rotation_deg_se']:.3f} deg "
-            f"counter-clockwise, shift ({dx:+.2f} +- {sx:.2f}, {dy:+.2f} +- {sy:.2f}) px (right, down), "
-            "with standard errors, at the image centre"
-        )
-    # Behind a mirror there is no rotation.
-    turned = math.isfinite(linear.rotation_deg)
-    turn = f"rotation {linear.rotation_deg:+.3f} deg counter-clockwise" if turned else "mirrored"
-    return (
-        f"{model_name(type(model))}: {turn}, "
-        f"scale {linear.scale:.5f}, shift ({dx:+.2f}, {dy:+.2f}) px (right, down), all at the image centre"
-    )
-
-
-def _known_model(result: Registration, path: str) -> Any:
-    from featreg.interfaces import FailedFit
-
+    result = Registration.from_json(path, tie_points=False)
     if isinstance(result.model, FailedFit):
         raise InputError(f"--initial '{path}' holds no model ({result.model.reason}), give a result that has one")
     return result.model

@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from featreg.cli.block_options import ClusterOptions, kept_when_interrupted
+from featreg.cli.option_sets import takes
 from featreg.cli.options import (
-    BandOption,
-    NodataOption,
+    MaskOptions,
+    ReadingOptions,
     announce_compiling,
-    check_folder,
     check_output,
     counter,
     distance,
     whole_number,
 )
-from featreg.errors import ParameterError
 from featreg.runtime.threads import limited_threads
 
 
+@takes
 def offsets(
     reference: Annotated[str, typer.Argument(metavar="REF", help="Reference image.", show_default=False)],
     secondary: Annotated[str, typer.Argument(metavar="SEC", help="Secondary image.", show_default=False)],
@@ -37,6 +37,7 @@ def offsets(
             show_default="geotransforms, else one grid",
         ),
     ] = None,
+    *,
     step: Annotated[
         int, typer.Option("--step", parser=whole_number(1), metavar="PX", help="Side of a cell of the field.")
     ] = 16,
@@ -47,37 +48,8 @@ def offsets(
         float,
         typer.Option("--search", parser=distance, metavar="PX", help="Largest displacement beyond what is known."),
     ] = 16.0,
-    mask_reference: Annotated[
-        str | None,
-        typer.Option(
-            "--mask-reference", metavar="FILE", help="Image of the same size, 0 = no data.", show_default=False
-        ),
-    ] = None,
-    mask_secondary: Annotated[
-        str | None,
-        typer.Option(
-            "--mask-secondary", metavar="FILE", help="Image of the same size, 0 = no data.", show_default=False
-        ),
-    ] = None,
-    scale: Annotated[
-        str | None,
-        typer.Option(
-            "--scale",
-            metavar="SCALE",
-            help="What the samples are: amplitude, intensity or db.",
-            show_default="told from the samples",
-        ),
-    ] = None,
-    nodata: NodataOption = None,
-    band: BandOption = None,
-    reference_band: Annotated[
-        str | None,
-        typer.Option("--reference-band", metavar="BAND", help="That of the reference.", show_default="--band"),
-    ] = None,
-    secondary_band: Annotated[
-        str | None,
-        typer.Option("--secondary-band", metavar="BAND", help="That of the secondary.", show_default="--band"),
-    ] = None,
+    reading: ReadingOptions,
+    masks: MaskOptions,
     block: Annotated[
         int | None,
         typer.Option(
@@ -88,24 +60,7 @@ def offsets(
             show_default="1024 for images of more than 4 million pixels",
         ),
     ] = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(
-            "--scheduler",
-            metavar="ADDRESS",
-            help="Run the blocks on the dask cluster of this scheduler, as tcp://host:8786.",
-            show_default=False,
-        ),
-    ] = None,
-    resume: Annotated[
-        str | None,
-        typer.Option(
-            "--resume",
-            metavar="DIR",
-            help="Keep finished blocks in this folder, and use those that are there.",
-            show_default=False,
-        ),
-    ] = None,
+    blocks: ClusterOptions,
     plot: Annotated[
         str | None,
         typer.Option(
@@ -128,15 +83,13 @@ def offsets(
     Writes dx, dy, their covariance, the height and significance of the peak, and a reason for every cell without a
     displacement, as named bands. Exit code 3 means that no cell could be measured.
     """
-    inputs = [file for file in (reference, secondary, initial, mask_reference, mask_secondary) if file is not None]
+    given = (reference, secondary, initial, masks.mask_reference, masks.mask_secondary)
+    inputs = [file for file in given if file is not None]
     check_output(output, "--output", suffixes=[".tif", ".tiff", ".h5", ".he5", ".hdf5"], inputs=inputs)
     check_output(plot, "--plot", suffixes=[".png"], inputs=inputs)
-    if scheduler is not None and workers is not None:
-        raise ParameterError("--scheduler brings its own workers: leave --workers out")
-    if resume is not None:
-        check_folder(Path(resume) if Path(resume).is_dir() else Path(resume).parent, f"--resume '{resume}'")
-    announce_compiling()
-    with limited_threads(workers, 1):
+    blocks.check(workers)
+    with kept_when_interrupted(blocks.resume), limited_threads(workers, 1):
+        announce_compiling()
         from featreg.displacement.run import offsets as measure
 
         field = measure(
@@ -146,18 +99,13 @@ def offsets(
             window=window,
             search=search,
             initial=initial,
-            reference_mask=mask_reference,
-            secondary_mask=mask_secondary,
-            nodata=nodata,
-            scale=scale,
-            band=band,
-            reference_band=reference_band,
-            secondary_band=secondary_band,
             block=block,
             workers=workers,
-            scheduler=scheduler,
-            resume=resume,
+            scheduler=blocks.scheduler,
+            resume=blocks.resume,
             progress=counter("blocks"),
+            **reading.reading(),
+            **masks.keywords(),
         )
         field.to_file(output)
         written = [output]

@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
 import typer
 
+from featreg.cli import completion
 from featreg.errors import InputError, ParameterError, suggest
 from featreg.pipeline.keywords import BY_NAME
 from featreg.runtime.files import folder_of, is_stream
 from featreg.runtime.progress import ProgressBar
 
 COMPILING = "compiling kernels, the first time only (about half a minute)"
+#: In place of a file's name: what would be written goes to the standard output.
+STDOUT = "-"
 WORDS = {"true": True, "false": False, "none": None, "inf": float("inf"), "-inf": float("-inf"), "nan": float("nan")}
 
 
@@ -76,8 +81,60 @@ BandOption: TypeAlias = Annotated[
 
 
 @dataclass(frozen=True)
-class MethodOptions:
-    """What `match`, `compare` and `sweep` all say of a method and of how images are read."""
+class ReadingOptions:
+    """How the two images of a pair are read."""
+
+    scale: Annotated[
+        str | None,
+        typer.Option(
+            "--scale",
+            metavar="SCALE",
+            help="What the samples are: amplitude, intensity or db.",
+            show_default="told from the samples",
+            autocompletion=completion.scales,
+        ),
+    ] = None
+    nodata: NodataOption = None
+    band: BandOption = None
+    reference_band: Annotated[
+        str | None,
+        typer.Option("--reference-band", metavar="BAND", help="That of the reference.", show_default="--band"),
+    ] = None
+    secondary_band: Annotated[
+        str | None,
+        typer.Option("--secondary-band", metavar="BAND", help="That of the secondary.", show_default="--band"),
+    ] = None
+
+    def reading(self) -> dict[str, Any]:
+        """As keywords."""
+        return {field.name: getattr(self, field.name) for field in dataclasses.fields(ReadingOptions)}
+
+
+@dataclass(frozen=True)
+class MaskOptions:
+    """Which pixels of a pair are data."""
+
+    mask_reference: Annotated[
+        str | None,
+        typer.Option(
+            "--mask-reference", metavar="FILE", help="Image of the same size, 0 = no data.", show_default=False
+        ),
+    ] = None
+    mask_secondary: Annotated[
+        str | None,
+        typer.Option(
+            "--mask-secondary", metavar="FILE", help="Image of the same size, 0 = no data.", show_default=False
+        ),
+    ] = None
+
+    def keywords(self) -> dict[str, Any]:
+        """As keywords."""
+        return {"reference_mask": self.mask_reference, "secondary_mask": self.mask_secondary}
+
+
+@dataclass(frozen=True)
+class MethodOptions(ReadingOptions):
+    """What `match`, `compare`, `sweep` and `stack` all say of a method and of how images are read."""
 
     model: Annotated[
         str | None,
@@ -87,6 +144,7 @@ class MethodOptions:
             help="Geometric model: translation, rigid, similarity, affine, homography, polynomial2, polynomial3, "
             "residual-field or, for scenes with RPCs, rpc-bias.",
             show_default="affine",
+            autocompletion=completion.models,
         ),
     ] = None
     settings: Annotated[
@@ -97,6 +155,7 @@ class MethodOptions:
             help="Replace a part (detector=fast, filters=gms,fsc) or a parameter (fsc.threshold=2) of the method; may "
             "be repeated. `featreg list` names them all.",
             show_default=False,
+            autocompletion=completion.settings,
         ),
     ] = None
     seed: Annotated[
@@ -131,31 +190,10 @@ class MethodOptions:
             show_default="as the method has it",
         ),
     ] = None
-    scale: Annotated[
-        str | None,
-        typer.Option(
-            "--scale",
-            metavar="SCALE",
-            help="What the samples are: amplitude, intensity or db.",
-            show_default="told from the samples",
-        ),
-    ] = None
-    nodata: NodataOption = None
-    band: BandOption = None
-    reference_band: Annotated[
-        str | None,
-        typer.Option("--reference-band", metavar="BAND", help="That of the reference.", show_default="--band"),
-    ] = None
-    secondary_band: Annotated[
-        str | None,
-        typer.Option("--secondary-band", metavar="BAND", help="That of the secondary.", show_default="--band"),
-    ] = None
 
     def keywords(self) -> dict[str, Any]:
         """Those that are keywords of `featreg.match` and of a protocol alike."""
-        of_method = ("model", "n_features", "locate", "refine")
-        names = (*of_method, "scale", "nodata", "band", "reference_band", "secondary_band")
-        return {name: getattr(self, name) for name in names}
+        return {name: getattr(self, name) for name in ("model", "n_features", "locate", "refine")} | self.reading()
 
 
 def parse_settings(given: Sequence[str] | None, offered: Iterable[str]) -> dict[str, Any]:
@@ -201,7 +239,9 @@ def parse_value(text: str) -> Any:
     return text
 
 
-def check_output(path: str | None, what: str, *, suffixes: Sequence[str] = (), inputs: Iterable[str] = ()) -> None:
+def check_output(
+    path: str | None, what: str, *, suffixes: Sequence[str] = (), inputs: Iterable[str] = (), stdout: bool = False
+) -> None:
     """Raise an `InputError` where a file could not be written, before any work is done for it.
 
     Parameters
@@ -210,8 +250,9 @@ def check_output(path: str | None, what: str, *, suffixes: Sequence[str] = (), i
     what : the option, for the message
     suffixes : how the name may end
     inputs : files that must not be overwritten
+    stdout : whether "-" may stand for the standard output
     """
-    if path is None:
+    if path is None or (stdout and path == STDOUT):
         return
     target = Path(path)
     if not path or path == "-":
@@ -246,6 +287,17 @@ def check_name(given: str, known: Iterable[str], what: str) -> None:
     names = list(known)
     if given not in names:
         raise ParameterError(f"unknown {what} '{given}', {suggest(given, names)}")
+
+
+@contextmanager
+def saying_when_interrupted(text: str | None) -> Iterator[None]:
+    """Let Ctrl-C say how to go on from what is kept; None says nothing."""
+    try:
+        yield
+    except KeyboardInterrupt as stop:
+        if text is not None:
+            stop.add_note(text)
+        raise
 
 
 def progress(text: str) -> None:

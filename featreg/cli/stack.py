@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from featreg.cli import completion
+from featreg.cli.block_options import ClusterOptions
 from featreg.cli.option_sets import takes
 from featreg.cli.options import (
     MethodOptions,
@@ -15,14 +18,25 @@ from featreg.cli.options import (
     check_output,
     counter,
     parse_settings,
+    saying_when_interrupted,
     whole_number,
 )
 from featreg.errors import InputError, ParameterError
 from featreg.pipeline.keywords import KEYWORDS
+from featreg.presets import DEFAULT_METHOD
 from featreg.runtime.threads import limited_threads
 
-#: That of `featreg.register_stack`, which is imported with the command.
-DEFAULT_METHOD = "sar-orb"
+
+@dataclass(frozen=True)
+class PairsOptions(ClusterOptions):
+    """Where the pairs are matched, and where what is finished is kept."""
+
+    resume: Annotated[
+        str | None,
+        typer.Option(
+            "--resume", metavar="DIR", help="Folder in which finished pairs are kept.", show_default="DIR/pairs"
+        ),
+    ] = None
 
 
 def pairs_of(text: Any) -> Any:
@@ -66,7 +80,10 @@ def stack(
         ),
     ] = None,
     method: Annotated[
-        str, typer.Option("--method", metavar="NAME", help="One of `featreg list method`.")
+        str,
+        typer.Option(
+            "--method", metavar="NAME", help="One of `featreg list method`.", autocompletion=completion.methods
+        ),
     ] = DEFAULT_METHOD,
     *,
     common: MethodOptions,
@@ -79,18 +96,7 @@ def stack(
         str | None,
         typer.Option("--cube", metavar="FILE.nc", help="Also write them as one NetCDF cube.", show_default=False),
     ] = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(
-            "--scheduler", metavar="ADDRESS", help="Run on the dask cluster of this scheduler.", show_default=False
-        ),
-    ] = None,
-    resume: Annotated[
-        str | None,
-        typer.Option(
-            "--resume", metavar="DIR", help="Folder in which finished pairs are kept.", show_default="DIR/pairs"
-        ),
-    ] = None,
+    pieces: PairsOptions,
     workers: Annotated[
         int | None,
         typer.Option(
@@ -107,8 +113,7 @@ def stack(
     if folder.exists() and not folder.is_dir():
         raise InputError(f"--output '{output}' is a file, a folder is needed")
     check_folder(folder if folder.is_dir() else folder.parent, f"--output '{output}'")
-    if scheduler is not None and workers is not None:
-        raise ParameterError("--scheduler brings its own workers: leave --workers out")
+    pieces.check(workers)
     if add and (reference or pairs is not None):
         raise ParameterError("--add keeps the reference and the pairs of the stack: leave --reference and --pairs out")
     check_output(cube, "--cube", suffixes=[".nc", ".zarr"], inputs=images)
@@ -117,8 +122,10 @@ def stack(
     changed = [*given, *(["method"] if method != DEFAULT_METHOD else []), *(["seed"] if common.seed else [])]
     if add and changed:
         raise ParameterError(f"--add keeps the options of the stack: leave {', '.join(sorted(changed))} out")
-    announce_compiling()
-    with limited_threads(workers, 1):
+    resume = str(folder / "pairs") if pieces.resume is None else pieces.resume
+    kept = f"the finished pairs are kept in '{resume}': the same command goes on from there"
+    with saying_when_interrupted(kept), limited_threads(workers, 1):
+        announce_compiling()
         from featreg.pictures.stack import draw_stack
         from featreg.stacks.registering import register_stack
         from featreg.stacks.stack import Stack
@@ -126,8 +133,8 @@ def stack(
         folder.mkdir(exist_ok=True)
         how: dict[str, Any] = {
             "workers": workers,
-            "scheduler": scheduler,
-            "resume": folder / "pairs" if resume is None else resume,
+            "scheduler": pieces.scheduler,
+            "resume": resume,
             "progress": counter("pairs"),
         }
         if add:

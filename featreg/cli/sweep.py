@@ -6,13 +6,14 @@ from typing import Annotated, Any
 
 import typer
 
-from featreg.cli import comparison_options
+from featreg.cli import comparison_options, completion
 from featreg.cli.block_options import SceneOptions
 from featreg.cli.comparison_options import OutputOptions, RunOptions
 from featreg.cli.option_sets import offered, takes
 from featreg.cli.options import MethodOptions, parse_settings, parse_value
 from featreg.errors import ParameterError
 from featreg.pipeline.keywords import BY_NAME
+from featreg.presets import DEFAULT_METHOD
 
 
 @takes
@@ -35,8 +36,11 @@ def sweep(
         ),
     ],
     method: Annotated[
-        str, typer.Option("--method", metavar="NAME", help="A name from `featreg list method`.")
-    ] = "sar-orb",
+        str,
+        typer.Option(
+            "--method", metavar="NAME", help="A name from `featreg list method`.", autocompletion=completion.methods
+        ),
+    ] = DEFAULT_METHOD,
     *,
     common: MethodOptions,
     scene: SceneOptions,

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from featreg.cli import completion
 from featreg.cli.options import NodataOption, check_name, check_output, counter, whole_number
 from featreg.runtime.threads import limited_threads
 
@@ -50,7 +51,13 @@ def warp(
         ),
     ] = None,
     resampling: Annotated[
-        str, typer.Option("--resampling", metavar="KIND", help="nearest, bilinear, cubic or lanczos.")
+        str,
+        typer.Option(
+            "--resampling",
+            metavar="KIND",
+            help="nearest, bilinear, cubic or lanczos.",
+            autocompletion=completion.words("nearest", "bilinear", "cubic", "lanczos"),
+        ),
     ] = "lanczos",
     band: Annotated[
         str | None,
@@ -126,7 +133,7 @@ def warp(
         check_name(resampling, TAPS, "resampling")
         if scale is not None:
             check_name(scale, SCALES, "scale")
-        result = Registration.from_json(result_file)
+        result = Registration.from_json(result_file, tie_points=False)
         product = warp_file(
             result,
             secondary,

@@ -255,7 +255,7 @@ def _secondary_window(job: _Job, seen: Window) -> Window | None:
 def _known(initial: Any, reference: Source, secondary: Source) -> Model | None:
     """The model known beforehand; None where the images lie on one grid."""
     if isinstance(initial, str | Path):
-        initial = Registration.from_json(initial)
+        initial = Registration.from_json(initial, tie_points=False)
     if isinstance(initial, Registration):
         if isinstance(initial.model, FailedFit):
             raise InputError(f"initial has no model ({initial.model.reason})")

@@ -19,10 +19,9 @@ from featreg.pipeline.locate import Locate
 from featreg.pipeline.pipeline import Pipeline
 from featreg.pipeline.refine import Refine
 from featreg.pipeline.trust import Limits
-from featreg.presets import PRESETS, Part, Preset
+from featreg.presets import DEFAULT_METHOD, PRESETS, Part, Preset
 from featreg.runtime.parameters import check, owner_of
 
-DEFAULT_METHOD = "sar-orb"
 DEFAULT_MODEL = "affine"
 #: Features of an image, and of a block: there, detection takes the same time for a hundred as for a thousand.
 DEFAULT_FEATURES, BLOCK_FEATURES = 5000, 1000

@@ -133,7 +133,7 @@ def warp_file(
     """
     given = registration
     if isinstance(registration, str | Path):
-        registration = Registration.from_json(registration)
+        registration = Registration.from_json(registration, tie_points=False)
     if resampling not in TAPS:
         raise ParameterError(f"unknown resampling '{resampling}', {suggest(resampling, TAPS)}")
     secondary, output = str(secondary), Path(output)

@@ -95,25 +95,32 @@ def write_registration(registration: Registration, path: str | Path) -> None:
         The file cannot be written, or a filter is called "putative" or "inliers".
     """
     path = Path(path)
-    stage = _stage(registration)
-    columns, masks, head = _columns(registration, stage), _masks(registration, stage), _head(registration)
-    head["provenance"] |= _folder(registration, path)
     # A pipe has no place beside it.
-    if len(stage) > MAX_ROWS and not is_stream(path):
+    if len(registration.matches) > MAX_ROWS and not is_stream(path):
+        stage = _stage(registration)
+        columns, masks, head = _columns(registration, stage), _masks(registration, stage), _head(registration)
+        head["provenance"] |= _folder(registration, path)
         beside = tie_point_file(path)
         content = parquet_of(columns)
         write_atomic(beside, content)
         table = {"file": beside.name, "columns": list(columns), "sha256": digest_bytes(content)}
-        text = _layout({**head, "tie_points": table | ({"masks": masks} if masks else {})})
+        text = _layout({**head, "tie_points": table | ({"masks": masks} if masks else {})}) + "\n"
     else:
-        # The rows are encoded in one go, one tie point a line: a general pretty printer would take seconds.
-        rows = json.dumps(_rows(columns), separators=(",", ":"), allow_nan=False).replace("],[", "],\n      [")
-        slot = uuid.uuid4().hex
-        text = _layout({**head, "tie_points": _table(columns, masks, slot)}).replace(
-            f'"{slot}"', rows.replace("[[", "[\n      [", 1)
-        )
+        text = registration_text(registration, _folder(registration, path))
     # A name of a file that is no UTF-8 stands as JSON's escapes of its bytes.
-    write_atomic(path, (text + "\n").encode(errors="backslashreplace"))
+    write_atomic(path, text.encode(errors="backslashreplace"))
+
+
+def registration_text(registration: Registration, provenance: Mapping[str, Any] | None = None) -> str:
+    """Return what `write_registration` writes into a pipe: every tie point in it; `provenance` is added to its own."""
+    stage = _stage(registration)
+    columns, masks, head = _columns(registration, stage), _masks(registration, stage), _head(registration)
+    head["provenance"] |= provenance or {}
+    # The rows are encoded in one go, one tie point a line: a general pretty printer would take seconds.
+    rows = json.dumps(_rows(columns), separators=(",", ":"), allow_nan=False).replace("],[", "],\n      [")
+    slot = uuid.uuid4().hex
+    text = _layout({**head, "tie_points": _table(columns, masks, slot)})
+    return text.replace(f'"{slot}"', rows.replace("[[", "[\n      [", 1)) + "\n"
 
 
 def tie_point_file(path: Path) -> Path:
@@ -121,13 +128,14 @@ def tie_point_file(path: Path) -> Path:
     return path.with_name(f"{path.stem}.tie_points.parquet")
 
 
-def read_registration(path: str | Path, make: Callable[..., R]) -> R:
+def read_registration(path: str | Path, make: Callable[..., R], *, tie_points: bool = True) -> R:
     """Read what `write_registration` wrote.
 
     Parameters
     ----------
     path : of the JSON file
     make : makes the result of the fields of a `Registration`, as keywords
+    tie_points : False leaves out those that stand in a file of their own, which then need not be there
 
     Raises
     ------
@@ -136,7 +144,7 @@ def read_registration(path: str | Path, make: Callable[..., R]) -> R:
     """
     path = Path(path)
     try:
-        return make(**_fields(json.loads(path.read_text(encoding="utf-8")), path.parent))
+        return make(**_fields(json.loads(path.read_text(encoding="utf-8")), path.parent, tie_points))
     except OSError as error:
         raise InputError(f"cannot read '{error.filename or path}': {error.strerror}") from error
     except KeyError as error:
@@ -294,13 +302,14 @@ def _layout(value: Any, indent: int = 0) -> str:
     return "{" + ",".join(lines) + pad[:-2] + "}"
 
 
-def _fields(data: Any, folder: Path) -> dict[str, Any]:
+def _fields(data: Any, folder: Path, tie_points: bool) -> dict[str, Any]:
     """The fields of the registration that a file holds."""
     if not isinstance(data, dict) or "schema_version" not in data:
         raise InputError("it has no schema_version")
     if data["schema_version"] != SCHEMA_VERSION:
         raise InputError(f"schema_version is {data['schema_version']}, this featreg reads {SCHEMA_VERSION}")
-    columns = _read_columns(data["tie_points"], folder)
+    complete = tie_points or "file" not in data["tie_points"]
+    columns = _read_columns(data["tie_points"], folder) if complete else _no_columns(data["tie_points"])
     stage = _whole(columns["stage"])
     stages = _read_stages([n for n in data["counts"] if n not in RESERVED], stage, data["tie_points"].get("masks", {}))
     covariance = None
@@ -317,7 +326,7 @@ def _fields(data: Any, folder: Path) -> dict[str, Any]:
         columns.get("scale_ratio"),
     )
     inliers = _whole(columns["inlier"]) != 0
-    if int(inliers.sum()) != data["counts"]["inliers"] or any(data["counts"][n] != m.sum() for n, m in stages.items()):
+    if complete and _contradicts(data, inliers, stages):
         raise InputError("its counts and its tie points disagree")
     block = _whole(columns["block"])
     return {
@@ -334,6 +343,15 @@ def _fields(data: Any, folder: Path) -> dict[str, Any]:
         "reference": _found(InputImage.from_dict(data["reference"]), data, folder),
         "secondary": _found(InputImage.from_dict(data["secondary"]), data, folder),
     }
+
+
+def _contradicts(data: Any, inliers: BoolArray, stages: Mapping[str, BoolArray]) -> bool:
+    counts = data["counts"]
+    return int(inliers.sum()) != counts["inliers"] or any(counts[name] != mask.sum() for name, mask in stages.items())
+
+
+def _no_columns(table: Mapping[str, Any]) -> dict[str, NDArray[np.float64]]:
+    return {name: np.zeros(0) for name in table["columns"]}
 
 
 def _read_columns(table: Mapping[str, Any], folder: Path) -> dict[str, NDArray[np.float64]]:

@@ -120,12 +120,18 @@ class Registration(Shown):
         write_registration(self, Path(path))
 
     @classmethod
-    def from_json(cls, path: str | Path) -> Self:
+    def from_json(cls, path: str | Path, *, tie_points: bool = True) -> Self:
         """Read what `to_json` wrote, whole.
+
+        Parameters
+        ----------
+        path : of the JSON file
+        tie_points : False leaves out tie points that stand in a Parquet file beside it, which then need not be there:
+            model, verdict and images are what they were
 
         Raises
         ------
         InputError
             The file is missing, cut short, of another schema version or no result of featreg.
         """
-        return read_registration(Path(path), cls)
+        return read_registration(Path(path), cls, tie_points=tie_points)

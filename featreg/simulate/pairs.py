@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from featreg.errors import ParameterError
 from featreg.runtime.parameters import checked
+from featreg.runtime.watching import Progress, Steps
 from featreg.simulate.landscape import Landscape, Surface
 from featreg.simulate.speckle_field import RADIUS, Looks, point_field, speckled_intensity
 from featreg.types import FloatArray, read_only
@@ -71,6 +72,7 @@ def sar_pair(
     shift: tuple[float, float] = (12.0, -7.0),
     change: Annotated[float, Interval(ge=0, le=1)] = 0.05,
     seed: int = 0,
+    progress: Progress | None = None,
 ) -> SimulatedPair:
     """Simulate two detected SAR images of one landscape, taken on different dates.
 
@@ -84,6 +86,7 @@ def sar_pair(
     change : share of the fields, buildings and point targets that differ between the dates, 0 to 1; ships and cars
         move whenever it is not 0
     seed : the same seed gives the same pair; with equal other arguments the reference does not depend on the rotation
+    progress : called with (images made, images in all)
 
     Returns
     -------
@@ -122,8 +125,11 @@ def sar_pair(
     land = countryside(shape, reach, change, layout)
     textures = Textures.made(shape, reach, ground)
     still = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    steps = Steps(2, progress)
     reference = render(land, textures, still, shape, 0, looks, first)
+    steps.advance()
     secondary = render(land, textures, truth, shape, 1, looks, second)
+    steps.advance()
     targets = land.xy[land.isolated]
     margin, limit = RADIUS, np.array(shape[::-1]) - 1 - RADIUS
     both = [((xy > margin) & (xy < limit)).all(axis=1) for xy in (targets, _mapped(truth, targets))]

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from featreg.errors import ParameterError
 from featreg.runtime.parameters import checked
+from featreg.runtime.watching import Progress, Steps
 from featreg.simulate.pairs import Textures, render, similarity_matrix
 from featreg.simulate.speckle_field import RADIUS, Looks
 from featreg.types import FloatArray, read_only
@@ -44,6 +45,7 @@ def sar_series(
     changed: int | None = None,
     unrelated: int | None = None,
     seed: int = 0,
+    progress: Progress | None = None,
 ) -> SimulatedSeries:
     """Simulate dates of one landscape.
 
@@ -58,6 +60,7 @@ def sar_series(
     changed : a date on which a third of the fields, buildings and targets differ
     unrelated : a date that shows another place
     seed : the same seed gives the same series
+    progress : called with (dates made, dates in all)
 
     Raises
     ------
@@ -91,11 +94,12 @@ def sar_series(
     places = [(countryside(shape, reach, 1 / 3, layout), Textures.made(shape, reach, ground))]
     if unrelated is not None:
         places.append((countryside(shape, reach, 0.0, elsewhere), Textures.made(shape, reach, elsewhere)))
-    images, truths = [], []
+    images, truths, made = [], [], Steps(count, progress)
     for date in range(count):
         x, y = shifts[date].tolist()
         truth = similarity_matrix(shape, float(turns[date]), 1.0, (x, y))
         land, textures = places[1 if date == unrelated else 0]
         images.append(render(land, textures, truth, shape, int(date == changed), looks, speckle[date]))
         truths.append(read_only(truth))
+        made.advance()
     return SimulatedSeries(images, truths)

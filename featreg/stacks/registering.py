@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from featreg.errors import InputError, ParameterError
-from featreg.pipeline.assembly import DEFAULT_METHOD
+from featreg.presets import DEFAULT_METHOD
 from featreg.runtime.executors import check_executor
 from featreg.runtime.parameters import check_seed
 from featreg.runtime.threads import worker_count

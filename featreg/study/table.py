@@ -21,6 +21,7 @@ from featreg.study.intervals import FEWEST, Interval, interval
 from featreg.study.latex import latex
 from featreg.study.layouts import LAYOUTS, columns_of
 from featreg.study.metrics import STANDARD, metric_of
+from featreg.study.text_table import text_lines
 
 COLUMNS = ("pair", "method", "status", *STANDARD, "reason")
 #: Columns that are no metric.
@@ -168,6 +169,26 @@ class Table(Shown):
             lines += self._interval_lines()
         return _emit("\n".join([*lines, "", *(f"- {line}" for line in self.protocol)]) + "\n", path)
 
+    def to_text(self, *, layout: str | None = None, width: int = 100) -> str:
+        """Return the table as aligned plain text of at most `width` characters a line, names that are longer apart."""
+        return "\n".join("".join(text for text, _ in line) for line in self.styled_lines(layout, width)) + "\n"
+
+    def styled_lines(self, layout: str | None = None, width: int = 100) -> list[list[tuple[str, str]]]:
+        """Return the lines of `to_text` as lists of (text, style), styles as rich names them."""
+        columns, parts = self._shown(layout)
+        told = any(one.told for found in self.intervals().values() for one in found.values())
+        intervals = self._interval_rows()
+        if not told:  # means without intervals stand in the summary
+            intervals = [], intervals[1]
+        return text_lines(
+            self,
+            columns,
+            parts,
+            self._judged() if layout is None else [],
+            intervals if layout is None else ([], ""),
+            width,
+        )
+
     def to_csv(self, path: str | Path | None = None, *, layout: str | None = None) -> str:
         """Return (and write) the rows as CSV, numbers in full, without summary and protocol."""
         columns, parts = self._shown(layout)
@@ -283,20 +304,17 @@ class Table(Shown):
                     row[name] = None
         return found
 
-    def _interval_lines(self) -> list[str]:
-        """The means with their intervals, as a table of their own, where there is anything to say."""
+    def _interval_rows(self) -> tuple[list[list[str]], str]:
+        """The means with their intervals, titles first, and what is said of them; nothing where there are none."""
         found = self.intervals()
         named = [n for n in self.metrics if metric_of(n).better]
         names = [n for n in named if any(f[n].low is not None for f in found.values())]
         if not names:
-            return []
+            return [], ""
         rest = self.differences() if len(found) > 1 else {}
         title = f"{self.confidence:.0%} intervals".replace("%", " %")
-        lines = ["", _line([f"mean [{title}]", *names]), _line(["---"] * (len(names) + 1))]
-        lines += [_line([method, *(str(f[n]) for n in names)]) for method, f in found.items()]
-        lines += [
-            _line([f"{method} minus {self.methods[0]}", *(_signed(f[n]) for n in names)]) for method, f in rest.items()
-        ]
+        rows = [[f"mean [{title}]", *names], *([method, *(str(f[n]) for n in names)] for method, f in found.items())]
+        rows += [[f"{method} minus {self.methods[0]}", *(_signed(f[n]) for n in names)] for method, f in rest.items()]
         unit = " and ".join(sorted({f[n].over for f in found.values() for n in names}))
         count = max(f[n].count for f in found.values() for n in names)
         note = f"n = {count} {unit}; studentised bootstrap over them; * a difference whose interval leaves out zero"
@@ -304,7 +322,15 @@ class Table(Shown):
             note = f"n = {count} pairs: too few for an interval (from {FEWEST} on)"
         if any(f[n].missing for f in [*found.values(), *rest.values()] for n in names):
             note += "; 'without N': N pairs have no value, and a mean that leaves them out flatters the method"
-        return [*lines, "", f"{note}."]
+        return rows, f"{note}."
+
+    def _interval_lines(self) -> list[str]:
+        """The means with their intervals as Markdown."""
+        rows, note = self._interval_rows()
+        if not rows:
+            return []
+        titles, *values = map(_line, rows)
+        return ["", titles, _line(["---"] * len(rows[0])), *values, "", note]
 
     def _values(self, method: str, metric: str) -> dict[tuple[Any, Any], float]:
         """(pair, seed) -> value, where there is one."""
