@@ -98,7 +98,7 @@ class OrientationCorrelation(Matcher):
     alpha: Positive = 0.8
     window: Annotated[int, Ge(8)] = 48
     overlapping: Annotated[float, Interval(ge=0, le=0.9)] = 0.5
-    most: Count = 256
+    most: Count = 144
     search: Count = 6
     backend: Literal["numpy", "torch"] = "numpy"
     device: str | None = None

@@ -89,21 +89,25 @@ def verified(reference: Image, secondary: Image, starts: Sequence[Alignment]) ->
     Starts that end at the same alignment are one.
     """
     groups: list[Verified] = []
-    judged: list[Verified] = []
+    first: tuple[Alignment, Verified] | None = None
     for start in starts:
-        first = _refined(reference, secondary, start, ROUNDS[0])
-        if first is None:
+        one = _refined(reference, secondary, start, ROUNDS[0])
+        if one is None:
             continue
-        _join(groups, first, first.alignment.score, reference.shape, SAME)
-        if not judged:
-            judged.append(_judged(reference, secondary, first, HOPELESS))
-    decided = bool(judged) and judged[0].answer <= DECIDED
-    hopeless = min(HOPELESS, judged[0].answer / 2) if decided else HOPELESS
-    if not decided:
-        judged = []
+        _join(groups, one, one.alignment.score, reference.shape, SAME)
+        if first is None:
+            first = one.alignment, _judged(reference, secondary, one, HOPELESS)
+    decided = first is not None and first[1].answer <= DECIDED
+    hopeless = min(HOPELESS, first[1].answer / 2) if first is not None and decided else HOPELESS
+    judged: list[Verified] = []
     for group in groups:
-        # What the first round says is enough of those that cannot compete with one that is decided.
-        judged.append(group if decided and group.answer > hopeless else _judged(reference, secondary, group, hopeless))
+        if first is not None and group.alignment is first[0]:
+            judged.append(replace(first[1], meetings=group.meetings))
+        elif decided and group.answer > hopeless:
+            # What the first round says is enough of those that cannot compete with one that is decided.
+            judged.append(group)
+        else:
+            judged.append(_judged(reference, secondary, group, hopeless))
     distinct: list[Verified] = []
     for one in sorted(judged, key=lambda one: one.answer):
         _join(distinct, one, -math.inf, reference.shape, NEAR)

@@ -67,40 +67,43 @@ def correlated(level: Level, side: int, reach: int, step: int | None = None, mos
     height, width = level.valid.shape
     step = step or side
     count = [max(0, (n - side) // step + 1) for n in (height, width)]
-    first = [(n - side - (k - 1) * step) // 2 for n, k in zip((height, width), count, strict=True)]
-    corners = [(first[0] + i * step, first[1] + j * step) for i in range(count[0]) for j in range(count[1])]
-    share = np.asarray(cv2.integral(level.valid.view(np.uint8)))
-
-    def held(y: int, x: int) -> int:
-        corners = share[y : y + side + 1 : side, x : x + side + 1 : side].astype(np.int64)
-        return int(corners[1, 1] - corners[0, 1] - corners[1, 0] + corners[0, 0])
-
-    kept = [(y, x, held(y, x)) for y, x in corners]
-    kept = [entry for entry in kept if entry[2] >= LEAST_VALID * side**2]
+    down, across = (
+        (n - side - (k - 1) * step) // 2 + step * np.arange(k) for n, k in zip((height, width), count, strict=True)
+    )
+    at = np.stack(np.meshgrid(down, across, indexing="ij"), -1).reshape(-1, 2)
+    held = np.asarray(cv2.integral(level.valid.view(np.uint8)), np.int64)
+    y, x = at.T
+    samples = held[y + side, x + side] - held[y, x + side] - held[y + side, x] + held[y, x]
+    kept = np.flatnonzero(samples >= LEAST_VALID * side**2)
     if most is not None and len(kept) > most:
-        kept = [kept[i * len(kept) // most] for i in range(most)]
+        kept = kept[np.arange(most) * len(kept) // most]
+    at, samples = at[kept], samples[kept]
     wide, shifts = side + 2 * reach, 2 * reach + 1
     n = fft.next_fast_len(wide)
-    border = (reach,) * 4
-    padded = cv2.copyMakeBorder(level.there, *border, cv2.BORDER_CONSTANT, value=0)
+    padded = cv2.copyMakeBorder(level.there, *(reach,) * 4, cv2.BORDER_CONSTANT, value=0)
     here, there = (np.ascontiguousarray(field).view(np.complex64)[..., 0] for field in (level.here, padded))
-    power = cv2.integral(padded[..., 0] ** 2 + padded[..., 1] ** 2, sdepth=cv2.CV_64F)
-    values = np.zeros((len(kept), shifts, shifts), np.float32)
-    for start in range(0, len(kept), BATCH):
-        y, x, _ = np.array(kept[start : start + BATCH]).T
-        one = sliding_window_view(here, (side, side))[y, x]
-        other = sliding_window_view(there, (wide, wide))[y, x]
-        product = fft.fft2(other, (n, n)) * fft.fft2(one, (n, n)).conj()
-        found = fft.ifft2(product).real[:, :shifts, :shifts]
-        corners = sliding_window_view(power, (side + shifts, side + shifts))[y, x]
-        near, far = slice(0, shifts), slice(side, side + shifts)
-        energy = corners[:, far, far] - corners[:, far, near] - corners[:, near, far] + corners[:, near, near]
+    energies = [_energy(field, side) for field in (level.here, padded)]
+    values = np.zeros((len(at), shifts, shifts), np.float32)
+    for start in range(0, len(at), BATCH):
+        y, x = at[start : start + BATCH].T
+        one = fft.fft2(sliding_window_view(here, (side, side))[y, x], (n, n))
+        product = fft.fft2(sliding_window_view(there, (wide, wide))[y, x], (n, n))
+        product *= np.conjugate(one, out=one)
+        found = fft.ifft2(product, overwrite_x=True).real[:, :shifts, :shifts]
+        energy = sliding_window_view(energies[1], (shifts, shifts))[y, x]
         energy = np.maximum(energy, LEAST_ENERGY * energy.max(axis=(1, 2), keepdims=True))
-        energy *= np.square(one.view(np.float32)).sum(axis=(1, 2), dtype=np.float64)[:, None, None]
+        energy *= energies[0][y, x][:, None, None]
         values[start : start + BATCH] = found / np.sqrt(energy + 1e-12)
-    middle = (side - 1) / 2
-    xy = np.array([(x + middle, y + middle) for y, x, _ in kept], np.float64).reshape(-1, 2)
-    return Surfaces(xy, values, np.array([entry[2] for entry in kept], np.float64))
+    return Surfaces(at[:, ::-1] + (side - 1) / 2, values, samples.astype(np.float64))
+
+
+def _energy(field: F32, side: int) -> F32:
+    """Sum of the squared lengths of a field (H, W, 2) over the window that begins at each sample, float32."""
+    import cv2
+
+    square = field[..., 0] ** 2 + field[..., 1] ** 2
+    total = cv2.boxFilter(square, -1, (side, side), anchor=(0, 0), normalize=False, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(np.maximum(total, 0), np.float32)
 
 
 def together(found: Surfaces, rotation_deg: float, zoom: float, steps: int) -> tuple[float, FloatArray]:
