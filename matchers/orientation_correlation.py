@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -20,6 +20,15 @@ from featreg.runtime.parameters import Count, Positive, Share
 from featreg.runtime.timing import stage
 from featreg.sar.correlation import Peaks, peaks
 from featreg.sar.orientation.levels import Level, aligned
+from featreg.sar.orientation.pieces import (
+    Piece,
+    distinct_of_pieces,
+    in_part,
+    in_whole,
+    pairs_of_pieces,
+    settled,
+    shared_part,
+)
 from featreg.sar.orientation.search import Alignment, Correlator, Grid, scale_steps, search
 from featreg.sar.orientation.verification import DECIDED, Verified, near, verified
 from featreg.sar.orientation.windows import Surfaces, correlated
@@ -110,12 +119,9 @@ class OrientationCorrelation(Matcher):
 
     def match(self, reference: Image, secondary: Image) -> Matches:
         """Return one tie point per window; empty where no alignment is more than chance, or where two are."""
-        scales = scale_steps(self.largest, self.scale_step)
-        # Most images have about the same scale: where an alignment of these stands out and is decided, it is the one.
-        judged = self._search(reference, secondary, scales[:SIMILAR], OUTSTANDING)
-        if not judged or judged[0].answer > DECIDED:
-            judged = self._search(reference, secondary, scales, 0.0)
-        best = self._best(judged)
+        best, ambiguous = self._best(self._alignments(reference, secondary))
+        if best is None and not ambiguous:
+            best = self._best_of_pieces(reference, secondary)
         if best is None:
             return Matches.empty()
         with stage("windows"):
@@ -124,16 +130,43 @@ class OrientationCorrelation(Matcher):
     def match_near(self, reference: Image, secondary: Image, initial: Model, radius: float) -> Matches:
         """As `match`, of images that `initial` aligns to within a radius in pixels of the secondary."""
         affine = _linearised(initial, reference.shape)
-        with stage("verify"):
-            known = None if affine is None else near(reference, secondary, affine, radius)
+        known = None
+        if affine is not None:
+            with stage("verify"):
+                part = shared_part(reference, secondary, affine, radius / Alignment(affine, 0.0).scale)
+                known = near(part.image, secondary, in_part(affine, part), radius)
         if known is None:
             return self.match(reference, secondary)
-        best = self._best([known])
+        best, _ = self._best([known])
         if best is None:
             return Matches.empty()
         with stage("windows"):
             # What is known of the shape of the map needs no coarse level.
-            return self._tie_points(reference, secondary, best, FINER * FINE_SIDE)
+            return self._tie_points(reference, secondary, in_whole(best, part, Piece(secondary)), FINER * FINE_SIDE)
+
+    def _alignments(self, reference: Image, secondary: Image) -> list[Verified]:
+        """Verified alignments of two images, best first."""
+        scales = scale_steps(self.largest, self.scale_step)
+        # Most images have about the same scale: where an alignment of these stands out and is decided, it is the one.
+        judged = self._search(reference, secondary, scales[:SIMILAR], OUTSTANDING)
+        if not judged or judged[0].answer > DECIDED:
+            judged = self._search(reference, secondary, scales, 0.0)
+        return judged
+
+    def _best_of_pieces(self, reference: Image, secondary: Image) -> Alignment | None:
+        """The best alignment of a strip, or of a small image in a large one, by pieces of them."""
+        pairs = pairs_of_pieces(reference, secondary)
+        # Two strips are settled by two pairs that agree; elsewhere in a large image a small one may lie as well.
+        strips = len({first.corner for first, _ in pairs}) > 1 and len({second.corner for _, second in pairs}) > 1
+        # So many more pairs have as many times the chance.
+        more = math.log10(max(1, len(pairs)))
+        found: list[tuple[Verified, Piece]] = []
+        for first, second in pairs:
+            for one in self._alignments(first.image, second.image):
+                found.append((replace(one, alignment=in_whole(one.alignment, first, second)), first))
+            if strips and settled(found, self.chance - more):
+                break
+        return self._best(distinct_of_pieces(found), more)[0]
 
     def _search(
         self, reference: Image, secondary: Image, scales: Sequence[float], outstanding: float
@@ -156,40 +189,45 @@ class OrientationCorrelation(Matcher):
 
         return TorchCorrelator(self.device or "auto")
 
-    def _best(self, judged: Sequence[Verified]) -> Alignment | None:
-        """The alignment for which windows speak most, None where that is chance or another has as much."""
+    def _best(self, judged: Sequence[Verified], more: float = 0.0) -> tuple[Alignment | None, bool]:
+        """The alignment for which windows speak most, None where that is chance, `more` powers of ten of it, or another
+        has as much; and whether that is why.
+        """
         if not judged:
-            return None
+            return None, False
         best = judged[0].log10_chance
         rival = judged[1].log10_chance if len(judged) > 1 else 0.0
-        if best > self.chance:
+        if best > self.chance - more:
             logger.info("no tie points: the windows of the best alignment agree as by chance (1e%.1f)", best)
-            return None
+            return None, False
         if rival < self.ambiguity * best:
             logger.info("no tie points: the windows of two alignments agree (1e%.1f and 1e%.1f by chance)", best, rival)
-            return None
-        return judged[0].alignment
+            return None, True
+        return judged[0].alignment, False
 
     def _tie_points(
         self, reference: Image, secondary: Image, alignment: Alignment, first: float = FINE_SIDE
     ) -> Matches:
         """Follow an alignment to full resolution; the windows of the finest level are the tie points."""
-        affine = alignment.affine
+        part = shared_part(reference, secondary, alignment.affine)
+        reference, affine = part.image, in_part(alignment.affine, part)
         finest = max(reference.shape) * min(1.0, alignment.scale)
-        samples = min(first, finest)
+        # A strip has room for two windows across.
+        samples = min(max(first, 2 * self.window * max(reference.shape) / min(reference.shape)), finest)
         while True:
             level = aligned(reference, secondary, affine, samples, self.alpha)
             found = correlated(level, self.window, self.search, self._step(level))
             seen = peaks(found.values.astype(np.float64))
             if samples >= finest:
-                return self._matches(level, found, seen)
+                matches = self._matches(level, found, seen)
+                return replace(matches, reference_xy=matches.reference_xy + np.array(part.corner))
             affine = _corrected(level, found, seen)
             samples = min(FINER * samples, finest)
 
     def _step(self, level: Level) -> int:
         """Distance of neighbouring windows, samples."""
         least = max(1, round((1 - self.overlapping) * self.window))
-        return max(least, math.ceil(math.sqrt(level.valid.size / self.most)))
+        return max(least, math.ceil(math.sqrt(np.count_nonzero(level.valid) / self.most)))
 
     def _matches(self, level: Level, found: Surfaces, seen: Peaks) -> Matches:
         good = np.flatnonzero(seen.sound & (seen.height > 0))

@@ -161,7 +161,9 @@ def near(reference: Image, secondary: Image, affine: FloatArray, radius: float) 
     """
     scale = Alignment(affine, 0.0).scale
     longer = max(reference.shape)
-    samples = min(MOST_SAMPLES, longer, longer * scale, NEAR_REACH * scale * longer / radius)
+    # A strip is as large in area as a square.
+    slender = math.sqrt(longer / min(reference.shape))
+    samples = min(MOST_SAMPLES * slender, longer, longer * scale, NEAR_REACH * scale * longer / radius)
     if samples < LEAST_SAMPLES:
         return None
     reach = max(3, math.ceil(radius / scale * samples / longer) + 1)

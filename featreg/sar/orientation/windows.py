@@ -82,7 +82,7 @@ def correlated(level: Level, side: int, reach: int, step: int | None = None, mos
     n = fft.next_fast_len(wide)
     padded = cv2.copyMakeBorder(level.there, *(reach,) * 4, cv2.BORDER_CONSTANT, value=0)
     here, there = (np.ascontiguousarray(field).view(np.complex64)[..., 0] for field in (level.here, padded))
-    energies = [_energy(field, side) for field in (level.here, padded)]
+    energies = _energy(level.here, side), _energy(np.asarray(padded, np.float32), side)
     values = np.zeros((len(at), shifts, shifts), np.float32)
     for start in range(0, len(at), BATCH):
         y, x = at[start : start + BATCH].T
