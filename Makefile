@@ -1,5 +1,5 @@
-# make demo   make test   make test-fast   make test-opencv4   make bench   make kernels   make table2   make table3
-# make clean
+# make demo   make test   make test-fast   make test-opencv4   make docs   make bench   make kernels   make table2
+# make table3   make clean
 #
 # Needs only a Python 3.11 to 3.13 with venv (PYTHON=python3.12 make ... for another one) and the package index. Each
 # target makes .venv when it is missing and installs again when pyproject.toml changed.
@@ -15,7 +15,7 @@ PLUGIN_TESTS := tests/test_registry.py tests/test_presets.py tests/interop/test_
 	tests/interop/test_opencv_networks.py tests/detectors tests/descriptors tests/matchers
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: demo test test-fast test-opencv4 lint bench kernels table2 table3 clean
+.PHONY: demo test test-fast test-opencv4 lint docs bench kernels table2 table3 clean
 .DELETE_ON_ERROR:
 
 demo: $(VENV)/.installed
@@ -37,6 +37,10 @@ lint: $(VENV)/.installed-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports --no-cache --no-logo
 	$(BIN)/python -m mypy
+
+docs: $(VENV)/.installed-dev
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --config-file docs/site/mkdocs.yml
+	@echo "written: build/site/index.html"
 
 bench: $(VENV)/.installed
 	$(BIN)/python benchmarks/pieces.py

@@ -28,6 +28,8 @@ from .io.images import as_image as as_image
 from .matching import match as match
 from .pipeline.feature_matcher import FeatureMatcher as FeatureMatcher
 from .pipeline.pipeline import Pipeline as Pipeline
+from .presets import Part as Part
+from .presets import Preset as Preset
 from .products.coherence import coherence as coherence
 from .products.in_memory import warp as warp
 from .products.warping import Product as Product
@@ -36,6 +38,7 @@ from .registry import available as available
 from .registry import create as create
 from .registry import register as register
 from .registry import register_family as register_family
+from .registry import register_preset as register_preset
 from .results.registration import Registration as Registration
 from .runtime.progress import progress_bar as progress_bar
 from .stacks.registering import register_stack as register_stack

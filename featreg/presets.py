@@ -191,7 +191,8 @@ _SMNN = Part("kornia-smnn")
 #: What `featreg.match` takes where nothing is said.
 DEFAULT_METHOD = "sar-orb"
 
-PRESETS: Mapping[str, Preset] = {
+#: Every method by name; `featreg.register_preset` adds to it.
+PRESETS: dict[str, Preset] = {
     "auto": Preset(
         "sar-orb, and sar-dense where that is not trusted; the other way round where the images differ in speckle",
         methods=("sar-orb", "sar-dense"),

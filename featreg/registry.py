@@ -1,4 +1,4 @@
-"""The one list of plugins: register, available, create, parameters.
+"""The one list of plugins and methods: register, register_preset, available, create, parameters.
 
 Own plugin folders (`featreg.detectors`, `featreg.descriptors`, `featreg.matchers`), the core's models, and entry
 points of the group "featreg.plugins" are loaded at the first look-up. A module that cannot be imported hides only
@@ -12,6 +12,7 @@ import importlib.util
 import inspect
 import logging
 import pkgutil
+import re
 import sys
 import threading
 from collections.abc import Callable, Mapping
@@ -29,7 +30,7 @@ from featreg.errors import (
     suggest,
 )
 from featreg.interfaces import Descriptor, Detector, Filter, Matcher, Model, Nearest
-from featreg.presets import PRESETS
+from featreg.presets import PRESETS, Part, Preset
 from featreg.runtime.parameters import Parameter, checked, declared
 
 Kind = Literal["detector", "descriptor", "nearest", "matcher", "filter", "model"]
@@ -136,6 +137,47 @@ def register_family(
     _add(Entry(kind, name, factory, module, defaults, summary, unavailable, on_demand, table, **said))
 
 
+def register_preset(name: str, preset: Preset) -> None:
+    """Add a method under `name`: from then on `featreg.match`, comparisons and the command line take it.
+
+    Its parts may be registered later; they are looked up when the method is used. Called in a module that an entry
+    point of the group "featreg.plugins" names, it is there for every program.
+
+    Parameters
+    ----------
+    name : a word of small letters, digits and hyphens
+    preset : its parts, their parameters and its switches; `dataclasses.replace` makes one of another
+
+    Raises
+    ------
+    DuplicatePluginError
+        Another method has the name.
+    PluginError
+        The name cannot be written on a command line, or `preset` is none, or holds nothing that makes tie points.
+    """
+    if not isinstance(name, str) or not re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", name):
+        raise PluginError(f"a method's name is small letters, digits and hyphens, got {name!r}")
+    if not isinstance(preset, Preset):
+        raise PluginError(f"method '{name}' must be a featreg.Preset, got {type(preset).__name__}")
+    parts = [*(part for _, part in preset.parts), *preset.filters]
+    wrong = [part for part in parts if not isinstance(part, Part)]
+    if wrong:
+        raise PluginError(f"method '{name}': its parts must be featreg.Part, got {wrong[0]!r}")
+    if not preset.methods and preset.matcher is None and (preset.detector is None or preset.nearest is None):
+        raise PluginError(f"method '{name}' needs a matcher, or a detector and a nearest, that make tie points")
+    with _lock:
+        if PRESETS.get(name, preset) != preset:
+            raise DuplicatePluginError(f"another method is called '{name}': {PRESETS[name].summary}")
+        PRESETS[name] = preset
+
+
+def presets() -> Mapping[str, Preset]:
+    """Return every method by name, those of other packages included."""
+    if _foreign():
+        _load()
+    return PRESETS
+
+
 def kind_of(cls: type[Any], name: str) -> Kind:
     """Return the kind of a class that is to be registered under `name`, or raise `PluginError` where it has none."""
     kinds: list[Any] = [kind for kind, base in KINDS.items() if issubclass(cls, base)]
@@ -148,7 +190,7 @@ def kind_of(cls: type[Any], name: str) -> Kind:
 def available(kind: str) -> list[str]:
     """Return the sorted names of a kind: detector, descriptor, nearest, matcher, filter, model or method."""
     if kind == "method":
-        return sorted(PRESETS)
+        return sorted(presets())
     return sorted(e.name for e in entries(kind) if not e.unavailable)
 
 
@@ -185,7 +227,7 @@ def entry(kind: str, name: str) -> Entry:
 
 def unknown(kind: str, name: str) -> UnknownNameError:
     """Return the error of a name that a kind does not have: what else it is, the nearest ones, and what is hidden."""
-    kinds = {one: [e.name for e in entries(one)] for one in KINDS} | {"method": list(PRESETS)}
+    kinds = {one: [e.name for e in entries(one)] for one in KINDS} | {"method": list(presets())}
     others = " and a ".join(one for one, names in kinds.items() if name in names)
     what = f": that is a {others}, not a {kind};" if others else ","
     hidden = "".join(f"; {m} could not be imported ({why})" for m, why in _broken.items())
@@ -300,7 +342,7 @@ def _load() -> None:
 
 def _import(name: str, load: Callable[[], Any], *, ours: bool = False) -> None:
     """Load a module or an entry point: everything that it registers, or nothing and the reason why."""
-    before = set(_entries)
+    before, methods = set(_entries), set(PRESETS)
     try:
         load()
     except (Exception, SystemExit) as error:
@@ -311,5 +353,7 @@ def _import(name: str, load: Callable[[], Any], *, ours: bool = False) -> None:
             # A module that it imported whole stands on its own: it would not be run again.
             if _entries[key].module == name.partition(":")[0] or _entries[key].module not in sys.modules:
                 del _entries[key]
+        for method in PRESETS.keys() - methods:
+            del PRESETS[method]
         _broken[name] = f"{type(error).__name__}: {error}"
         logger.warning("plugin %s is hidden: %s", name, _broken[name])

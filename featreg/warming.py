@@ -10,8 +10,7 @@ from types import ModuleType
 from typing import Any
 
 from featreg.errors import FeatregError
-from featreg.presets import PRESETS
-from featreg.registry import entries, entry
+from featreg.registry import entries, entry, presets
 from featreg.runtime import precompiled
 from featreg.runtime.files import write_atomic
 from featreg.runtime.jit import Kernel
@@ -69,7 +68,7 @@ def warm_up() -> None:
 def _methods() -> Iterator[dict[str, Any]]:
     """Keywords of `match` that run every plugin which compiles something: the presets', and those in no preset."""
     used: set[tuple[str, str]] = set()
-    for method, preset in PRESETS.items():
+    for method, preset in presets().items():
         if preset.methods:
             continue  # each has a turn of its own
         steps = [*preset.parts, *(("filter", part) for part in preset.filters)]

@@ -1,11 +1,20 @@
-"""Presets: each registers a pair whose warp is known."""
+"""Presets: each registers a pair whose warp is known; one's own are methods like ours."""
 
 from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
 
 import featreg
+from featreg import registry
+from featreg.cli.main import main
+from featreg.errors import DuplicatePluginError, PluginError
+from featreg.presets import PRESETS
 from featreg.simulate import SimulatedPair
 
 
@@ -17,3 +26,60 @@ def test_a_known_warp_is_found(pair: SimulatedPair, name: str) -> None:
     points = np.array([[x, y] for x in (20.0, 150.0, 280.0) for y in (20.0, 150.0, 280.0)])
     error = found.model(points) - (points @ pair.truth[:, :2].T + pair.truth[:, 2])
     assert np.hypot(*error.T).max() < 1.0
+
+
+@pytest.fixture
+def own() -> Iterator[str]:
+    """The name of a preset of somebody else's, which is gone afterwards."""
+    yield "somebodys-orb"
+    PRESETS.pop("somebodys-orb", None)
+
+
+def test_a_preset_of_ones_own_is_a_method(pair: SimulatedPair, own: str, capsys: pytest.CaptureFixture[str]) -> None:
+    featreg.register_preset(own, dataclasses.replace(PRESETS["sar-orb"], summary="mine", model="similarity"))
+    assert own in featreg.available("method")
+    found = featreg.match(pair.reference, pair.secondary, method=own, n_features=1500, refine=False)
+    assert found.status == "ok"
+    assert found.provenance["method"] == own
+    assert found.provenance["parameters"]["model"] == "similarity"
+    assert main(["list", own]) == 0
+    assert "mine" in capsys.readouterr().out
+
+
+def test_a_preset_is_registered_once_or_again_as_it_was(own: str) -> None:
+    mine = dataclasses.replace(PRESETS["sar-orb"], summary="mine")
+    featreg.register_preset(own, mine)
+    featreg.register_preset(own, dataclasses.replace(mine))
+    with pytest.raises(DuplicatePluginError, match=f"another method is called '{own}': mine"):
+        featreg.register_preset(own, dataclasses.replace(mine, summary="other"))
+    with pytest.raises(DuplicatePluginError, match="another method is called 'sar-orb'"):
+        featreg.register_preset("sar-orb", mine)
+
+
+@pytest.mark.parametrize(
+    ("name", "preset", "words"),
+    [
+        ("My Method", PRESETS["sar-orb"], "small letters, digits and hyphens, got 'My Method'"),
+        ("mine", {"detector": "orb"}, "must be a featreg.Preset, got dict"),
+        ("mine", featreg.Preset("nothing"), "needs a matcher, or a detector and a nearest"),
+        ("mine", featreg.Preset("half", detector=featreg.Part("orb")), "needs a matcher, or a detector and a nearest"),
+        ("mine", featreg.Preset("words", matcher="patch-grid"), "must be featreg.Part, got 'patch-grid'"),  # type: ignore[arg-type]
+    ],
+)
+def test_what_is_no_method_is_refused(name: str, preset: Any, words: str) -> None:
+    with pytest.raises(PluginError, match=re.escape(words)):
+        featreg.register_preset(name, preset)
+    assert name not in PRESETS
+
+
+def test_a_module_that_fails_after_registering_a_preset_leaves_none(own: str) -> None:
+    def load() -> None:
+        featreg.register_preset(own, PRESETS["sar-orb"])
+        raise ImportError("no such library")
+
+    registry._import("somebodys.presets", load)
+    try:
+        assert own not in PRESETS
+        assert "no such library" in registry.broken()["somebodys.presets"]
+    finally:
+        del registry._broken["somebodys.presets"]

@@ -42,9 +42,8 @@ class Item:
         if self.kind != "method":
             return dict(registry.entry(self.kind, self.name).parameters)
         from featreg.pipeline.assembly import assemble
-        from featreg.presets import PRESETS
 
-        choice = PRESETS[self.name].methods
+        choice = registry.presets()[self.name].methods
         try:
             return {"methods": list(choice)} if choice else dict(assemble(self.name).parameters)
         except FeatregError:
@@ -59,10 +58,9 @@ class Item:
         from featreg.pipeline.locate import Locate
         from featreg.pipeline.refine import Refine
         from featreg.pipeline.trust import Limits
-        from featreg.presets import PRESETS
         from featreg.runtime.parameters import declared
 
-        preset = PRESETS[self.name]
+        preset = registry.presets()[self.name]
         if preset.methods:
             return {}  # those of each method are listed under its own name
         parts = {role: registry.entry(role, part.name).declared for role, part in preset.parts}
@@ -118,12 +116,11 @@ def list_names(
 
 def _items(kind: str) -> list[Item]:
     from featreg import registry
-    from featreg.presets import PRESETS
 
     if kind != "method":
         return [Item(kind, e.name, e.summary, e.unavailable) for e in registry.entries(kind)]
     found = []
-    for name, preset in sorted(PRESETS.items()):
+    for name, preset in sorted(registry.presets().items()):
         try:
             parts = [registry.entry(role, part.name) for role, part in preset.parts]
             why = "; ".join(f"{e.kind} {e.name}: {e.unavailable}" for e in parts if e.unavailable)

@@ -19,7 +19,7 @@ from featreg.pipeline.locate import Locate
 from featreg.pipeline.pipeline import Pipeline
 from featreg.pipeline.refine import Refine
 from featreg.pipeline.trust import Limits
-from featreg.presets import DEFAULT_METHOD, PRESETS, Part, Preset
+from featreg.presets import DEFAULT_METHOD, Part, Preset
 from featreg.runtime.parameters import check, owner_of
 
 DEFAULT_MODEL = "affine"
@@ -127,7 +127,7 @@ def assemble_all(method: str | Pipeline | Matcher = DEFAULT_METHOD, **keywords: 
 
     Parameters and errors as `assemble`; every one of the methods must take the keywords.
     """
-    preset = PRESETS.get(method) if isinstance(method, str) else None
+    preset = registry.presets().get(method) if isinstance(method, str) else None
     if preset is None or not preset.methods:
         return (assemble(method, **keywords),)
     try:
@@ -208,13 +208,12 @@ def _values(part: Any) -> dict[str, Any]:
 def _preset(method: str | Matcher) -> tuple[str, Preset]:
     if isinstance(method, Matcher):
         return type(method).__name__, Preset(type(method).__name__)
-    if method not in PRESETS:
+    preset = registry.presets().get(method)
+    if preset is None:
         raise registry.unknown("method", str(method))
-    if PRESETS[method].methods:
-        raise ParameterError(
-            f"'{method}' is a choice of methods, no pipeline: take one of {', '.join(PRESETS[method].methods)}"
-        )
-    return method, PRESETS[method]
+    if preset.methods:
+        raise ParameterError(f"'{method}' is a choice of methods, no pipeline: take one of {', '.join(preset.methods)}")
+    return method, preset
 
 
 def _slots(name: str, preset: Preset, method: str | Matcher, keywords: dict[str, Any]) -> dict[str, _Slot]:

@@ -21,6 +21,12 @@ SAID = {
     "blocks": f"at least {Limits().block_share:g}",
     "block_error": f"at most {Limits().block_error_px:g}",
     "held_out_rmse": f"at most {Limits().held_out_rmse_px:g}",
+    **{name: f"at most {getattr(Limits(), name):g}" for name in ("alias", "identical")},
+    **{
+        name: f"at most {getattr(Limits(), name):g}, half of it where a refinement found nothing"
+        for name in ("rival", "local")
+    },
+    "scene": f"at least {Limits().scene:g}",
 }
 FOCUS_SAID = {
     "pulses": "at least 8",
@@ -44,14 +50,27 @@ def limits() -> dict[str, str]:
     return said
 
 
-def table(texts: Mapping[str, GateText], said: Mapping[str, str]) -> str:
-    rows = ["| gate | what it measures | limit | why there | what fails it | what to try |", "| --- " * 6 + "|"]
+def coded(text: str) -> str:
+    """The text with its options and their values in code."""
+    return re.sub(r"(--[a-z][a-z-]*(?: (?:[A-Z]+(?:\.[a-z]+)?\b|\d+))?)", r"`\1`", text)
+
+
+def table(texts: Mapping[str, GateText], said: Mapping[str, str], of: str = "") -> str:
+    """All gates with their limits, then each by itself."""
+    rows = ["| gate | what it measures | limit |", "| --- " * 3 + "|"]
+    parts = []
     for name, text in texts.items():
-        cures = "; ".join(text.cures)
-        limit = said.get(name) or str(getattr(Limits(), name, "see the result"))
-        cells = [f"`{name}`", text.measures, limit, text.limit, text.cause, cures]
-        rows.append("| " + " | ".join(re.sub(r"(--[a-z][a-z-]*)", r"`\1`", cell) for cell in cells) + " |")
-    return "\n".join(rows)
+        limit = said[name]
+        anchor = f"{name}{of}".replace(" ", "-")
+        rows.append(f"| [`{name}`](#{anchor}) | {coded(text.measures)} | {limit} |")
+        parts += [
+            f"### `{name}`{of}\n",
+            f"{coded(text.measures[0].upper() + text.measures[1:])}. Limit: {limit}.\n",
+            f"- **Why there**: {coded(text.limit)}.",
+            f"- **What fails it**: {coded(text.cause)}.",
+            f"- **What to try**: {coded('; '.join(text.cures))}.\n",
+        ]
+    return "\n".join([*rows, "", *parts]).rstrip()
 
 
 def sections() -> dict[str, str]:
@@ -59,7 +78,7 @@ def sections() -> dict[str, str]:
     return {
         "stages": "\n".join(["| stage | keeps |", "| --- | --- |", *stages]),
         "registration": table(REGISTRATION, limits()),
-        "focus": table(FOCUS, FOCUS_SAID),
+        "focus": table(FOCUS, FOCUS_SAID, " of autofocus"),
     }
 
 
