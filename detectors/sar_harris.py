@@ -12,10 +12,18 @@ from numpy.typing import NDArray
 
 from featreg.interfaces import Detector
 from featreg.registry import register
+from featreg.runtime.buffers import scratch
 from featreg.runtime.parameters import Count, Positive
-from featreg.sar.gradients.gradient_field import GradientField, filled_gradients, from_base, octave, ratio_field
+from featreg.sar.gradients.gradient_field import (
+    GradientField,
+    filled_gradients,
+    from_base,
+    octave,
+    passing_gradients,
+    ratio_field,
+)
 from featreg.sar.keypoints.gradient_histograms import dominant_orientation, further_orientations
-from featreg.sar.keypoints.maxima import interpolated, local_maxima, parabola_peak, quadratic_peak
+from featreg.sar.keypoints.maxima import interpolated, local_maxima, parabola_peak, quadratic_peak, reflected
 from featreg.sar.pyramid import clear, share_out, to_base
 from featreg.types import Features, FloatArray, Image, IntArray
 
@@ -93,8 +101,7 @@ class SarHarris(Detector):
         return self.support * self.alpha * self.factor ** (self.scales - 1)
 
     def detect_features(self, image: Image) -> Features:
-        scratch = np.empty(3 * image.mask.size, np.float32)
-        layers = [self._layer(image, self.alpha * self.factor**k, scratch) for k in range(self.scales)]
+        layers = [self._layer(image, self.alpha * self.factor**k) for k in range(self.scales)]
         found = [self._maxima(layer, image) for layer in layers]
         counts = share_out(self.n_features, [len(at) for at in found], self.quota_decay)
         parts = []
@@ -113,10 +120,13 @@ class SarHarris(Detector):
         everything = Features.concatenate(parts)
         return everything.take(np.argsort(-everything.score, kind="stable")[: self.n_features])
 
-    def _layer(self, image: Image, alpha: float, scratch: F32) -> _Layer:
+    def _layer(self, image: Image, alpha: float) -> _Layer:
         level, local = octave(image, alpha, COARSEST_GRID)
-        gradients = filled_gradients(level, local, self.floor)
-        return _Layer(alpha, level, _response(*gradients, self.integration * local, self.d, scratch))
+        # Neither orientations nor descriptors are taken from gradients finer than `finest`.
+        gradients = (filled_gradients if alpha >= self.finest else passing_gradients)(level, local, self.floor)
+        response = scratch(f"response {alpha!r}", level.shape)
+        _fill_response(*gradients, self.integration * local, self.d, response)
+        return _Layer(alpha, level, response)
 
     def _maxima(self, layer: _Layer, image: Image) -> IntArray:
         reach = self.support * layer.alpha * layer.level.shape[1] / image.shape[1]
@@ -136,17 +146,13 @@ class SarHarris(Detector):
         return ratio_field(level, local, self.floor), from_base(xy, level, image), radius
 
 
-def _response(gx: F32, gy: F32, sigma: float, d: float, scratch: F32) -> F32:
-    """det - d trace^2 of the SAR-Harris matrix; `scratch` holds at least three floats for every pixel."""
+def _fill_response(gx: F32, gy: F32, sigma: float, d: float, response: F32) -> None:
+    """det - d trace^2 of the SAR-Harris matrix, smoothed by a Gaussian of `sigma` pixels; borders are reflected."""
     import cv2
 
     from featreg.sar.keypoints import harris_kernels
 
-    maps = scratch[: 3 * gx.size].reshape(3, *gx.shape)
-    harris_kernels.products(gx, gy, maps)
-    side = 2 * max(1, math.ceil(REACH * sigma)) + 1
-    for product in maps:
-        cv2.GaussianBlur(product, (side, side), sigma, dst=product, borderType=cv2.BORDER_REFLECT_101)
-    response = np.empty(gx.shape, np.float32)
-    harris_kernels.response(maps, np.float32(d), response)
-    return response
+    reach = max(1, math.ceil(REACH * sigma))
+    taps = cv2.getGaussianKernel(2 * reach + 1, sigma, cv2.CV_32F).ravel()[reach:]
+    rows, columns = (reflected(length, reach) for length in gx.shape)
+    harris_kernels.response(gx, gy, np.ascontiguousarray(taps), rows, columns, np.float32(d), response)

@@ -15,7 +15,7 @@ from featreg.runtime.parameters import Count, Positive
 from featreg.sar.gradients.ratio import quantised_edges, ratio_gradients
 from featreg.sar.keypoints.corners import fast_corners, orientation, refine_centroid, refine_corner
 from featreg.sar.pyramid import REACH, SUPPORT, clear, pyramid, share_out, to_base
-from featreg.sar.speckle import despeckled
+from featreg.sar.speckle import despeckled_bytes
 from featreg.types import Features, Image
 
 ORIENTATION_RADIUS = 15
@@ -83,7 +83,7 @@ class SarOfast(Detector):
             at = xy[:count]
             moved, stable = self._subpixel(level, at)
             scale = self.support * np.sqrt(image.mask.size / level.mask.size)
-            view = despeckled(level) if self.centroid == "amplitude" else self._edges(level).astype(np.float32)
+            view = despeckled_bytes(level) if self.centroid == "amplitude" else self._edges(level)
             parts.append(
                 Features(
                     xy=to_base(moved, level, image),

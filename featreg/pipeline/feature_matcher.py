@@ -61,7 +61,7 @@ class FeatureMatcher(Matcher):
         return tuple(part for part in found if part is not None)
 
     def match(self, reference: Image, secondary: Image) -> Matches:
-        with stage("detect"):
+        with stage("detect"), keeping():
             found = self._each(self._detect, [(reference,), (secondary,)])
         if not len(found[0]) or not len(found[1]):
             return Matches.empty()

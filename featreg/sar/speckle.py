@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +16,8 @@ F32 = NDArray[np.float32]
 FLOOR = 1e-2
 # Pixels of a strip.
 STRIP = 1 << 16
+# What the mean of the logarithm lies below the logarithm of the mean, about, of one look.
+BELOW_MEAN = 0.25
 # Side of the windows by which looks are told, variance below which one shows nothing, and the share of the most even.
 WINDOW, EVEN, FIFTH = 5, 1e-6, 0.2
 
@@ -32,20 +37,11 @@ def despeckled(image: Image, sigma: float = 1.0) -> F32:
 
 
 def despeckled_bytes(image: Image, sigma: float = 1.0) -> NDArray[np.uint8]:
-    """Return `despeckled` in (H, W) uint8 steps of 1/28 around the mean level, for comparisons that need no more.
+    """Return `despeckled` in (H, W) uint8 steps of 1/28, 128 being about the mean level, where no more is needed.
 
     A quarter of the memory, so that scattered look-ups stay in the cache; the step is a fifth of what speckle leaves.
     """
     return image.derive(_despeckled_bytes, sigma=float(sigma))
-
-
-def _despeckled_bytes(image: Image, sigma: float) -> NDArray[np.uint8]:
-    import cv2
-
-    view = despeckled(image, sigma)
-    middle = float(cv2.mean(view)[0])
-    # The floor of the logarithm lies log(100) = 4.6 below the mean amplitude, so nothing turns negative.
-    return np.asarray(cv2.convertScaleAbs(view, alpha=28, beta=128 - 28 * middle), np.uint8)
 
 
 def equivalent_looks(image: Image) -> float:
@@ -98,22 +94,63 @@ def _mean_amplitude(image: Image) -> float:
 
 
 def _log_amplitude(image: Image) -> F32:
-    import cv2
-
     amplitude = filled_amplitude(image)
-    floor = np.float32(max(FLOOR * mean_amplitude(image), 1e-30))
-    # In strips that stay in the cache: a large image is written to memory once.
-    out, rows = np.empty_like(amplitude), max(1, STRIP // max(amplitude.shape[1], 1))
-    strip = np.empty((rows, amplitude.shape[1]), np.float32)
-    for start in range(0, len(amplitude), rows):
-        part = amplitude[start : start + rows]
-        cv2.log(np.maximum(part, floor, out=strip[: len(part)]), out[start : start + rows])
+    out = np.empty_like(amplitude)
+    for start, stop in _strips(amplitude.shape):
+        _log_of_rows(image, amplitude, start, stop, out[start:stop])
     return out
 
 
 def _despeckled(image: Image, sigma: float) -> F32:
+    out = np.empty(image.shape, np.float32)
+    for start, stop, smooth in _smoothed_strips(image, sigma):
+        out[start:stop] = smooth
+    return out
+
+
+def _despeckled_bytes(image: Image, sigma: float) -> NDArray[np.uint8]:
     import cv2
 
-    side = 2 * round(2.5 * sigma) + 1
-    smooth = cv2.GaussianBlur(log_amplitude(image), (side, side), sigma, borderType=cv2.BORDER_REFLECT_101)
-    return np.asarray(smooth, np.float32)
+    # The mean of the logarithm of speckle lies that much below the logarithm of its mean, about; the floor of the
+    # logarithm lies log(100) = 4.6 below the mean amplitude, so nothing turns negative.
+    middle = math.log(max(mean_amplitude(image), 1e-30)) - BELOW_MEAN
+    out = np.empty(image.shape, np.uint8)
+    for start, stop, smooth in _smoothed_strips(image, sigma):
+        cv2.convertScaleAbs(smooth, out[start:stop], alpha=28, beta=128 - 28 * middle)
+    return out
+
+
+def _smoothed_strips(image: Image, sigma: float) -> Iterator[tuple[int, int, F32]]:
+    """Rows (start, stop) of the image and their smoothed log-amplitude, which is overwritten by the next ones.
+
+    Strips stay in the cache: of a large image only the amplitude is read and the result written.
+    """
+    import cv2
+
+    amplitude = filled_amplitude(image)
+    height, width = amplitude.shape
+    reach = round(2.5 * sigma)
+    side = 2 * reach + 1
+    rows = min(height, max(1, STRIP // width) + 2 * reach)
+    logs, smooth = np.empty((rows, width), np.float32), np.empty((rows, width), np.float32)
+    for start, stop in _strips(amplitude.shape):
+        first, last = max(start - reach, 0), min(stop + reach, height)
+        part, out = logs[: last - first], smooth[: last - first]
+        _log_of_rows(image, amplitude, first, last, part)
+        cv2.GaussianBlur(part, (side, side), sigma, out, borderType=cv2.BORDER_REFLECT_101)
+        yield start, stop, out[start - first : stop - first]
+
+
+def _strips(shape: tuple[int, int]) -> Iterator[tuple[int, int]]:
+    """(first, behind the last) row of strips of an image that stay in the cache."""
+    height, width = shape
+    rows = max(1, STRIP // width)
+    for start in range(0, height, rows):
+        yield start, min(start + rows, height)
+
+
+def _log_of_rows(image: Image, amplitude: F32, start: int, stop: int, out: F32) -> None:
+    import cv2
+
+    floor = np.float32(max(FLOOR * mean_amplitude(image), 1e-30))
+    cv2.log(np.maximum(amplitude[start:stop], floor, out=out), out)

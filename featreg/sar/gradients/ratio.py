@@ -68,9 +68,14 @@ def _ratio_gradients(image: Image, alpha: float, floor: float) -> tuple[F32, F32
     return roewa(image.amplitude, alpha, mask, floor)
 
 
-def roewa(amplitude: F32, alpha: float, mask: BoolArray | None = None, floor: float = FLOOR) -> tuple[F32, F32]:
-    """As `ratio_gradients`, of a plain (H, W) float32 array; `mask` is (H, W) bool, True = valid."""
-    gx, gy = np.empty((2, *amplitude.shape), np.float32)
+def roewa(
+    amplitude: F32, alpha: float, mask: BoolArray | None = None, floor: float = FLOOR, out: F32 | None = None
+) -> tuple[F32, F32]:
+    """As `ratio_gradients`, of a plain (H, W) float32 array; `mask` is (H, W) bool, True = valid.
+
+    They are written to `out` (2, H, W) where it is given.
+    """
+    gx, gy = np.empty((2, *amplitude.shape), np.float32) if out is None else out
     no_strength = np.empty((0, amplitude.shape[1]), np.float32)
     if mask is None:
         _means_to_ratios(amplitude, alpha, floor, gx, gy, no_strength)
@@ -90,10 +95,13 @@ def roewa(amplitude: F32, alpha: float, mask: BoolArray | None = None, floor: fl
     return gx, gy
 
 
-def roewa_strength(amplitude: F32, alpha: float, floor: float = FLOOR) -> F32:
-    """Return the (H, W) float32 length of `roewa`'s gradient of a plain array, to 1 %, without storing the gradient."""
+def roewa_strength(amplitude: F32, alpha: float, floor: float = FLOOR, out: F32 | None = None) -> F32:
+    """Return the (H, W) float32 length of `roewa`'s gradient of a plain array, to 1 %, without storing the gradient.
+
+    It is written to `out` where that is given.
+    """
     rows = np.empty((2, 1, amplitude.shape[1]), np.float32)
-    strength = np.empty(amplitude.shape, np.float32)
+    strength = np.empty(amplitude.shape, np.float32) if out is None else out
     _means_to_ratios(amplitude, alpha, floor, rows[0], rows[1], strength)
     strength[[0, -1]] = 0
     strength[:, [0, -1]] = 0
@@ -154,7 +162,7 @@ def quantised_edges(
     if eq5:
         strength = edge_strength(*ratio_gradients(image, alpha, floor), eq5=True)
     else:
-        strength = roewa_strength(filled_amplitude(image), alpha, floor)
+        strength = roewa_strength(filled_amplitude(image), alpha, floor, scratch("edge strength", image.shape))
     step = max(1, math.isqrt(strength.size // SAMPLE))
     sample = strength[::step, ::step][image.mask[::step, ::step]]
     if not sample.size:

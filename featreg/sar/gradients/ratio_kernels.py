@@ -114,49 +114,65 @@ def fast_log(value: np.float32) -> np.float32:
     return np.float32(exponent) * np.float32(0.6931471805599453) + m * p
 
 
-@compiled
-def _retreat(now: F32, before: F32, decay: np.float32, state: F32) -> None:
-    """Go up one row: what that row alone adds is the difference of two sums from above."""
-    for x in range(now.shape[0]):
-        state[x] = decay * ((now[x] - decay * before[x]) + state[x])
-
-
-@compiled
-def _sum(a: F32, b: F32, factor: np.float32, out: F32) -> None:
-    for x in range(a.shape[0]):
-        out[x] = factor * (a[x] + b[x])
-
-
-@compiled
-def _weighted_sum(a: F32, b: F32, weights: F32, out: F32) -> None:
-    for x in range(a.shape[0]):
-        out[x] = weights[x] * (a[x] + b[x])
-
-
-@compiled
-def _log_ratio(above: F32, below: F32, tiny: np.float32, out: F32) -> None:
-    for x in range(above.shape[0]):
-        out[x] = fast_log((above[x] + tiny) / (below[x] + tiny))
-
-
-@compiled
-def _squared_log_ratio(above: F32, below: F32, tiny: np.float32, out: F32) -> None:
-    """Square of the log ratio by 2 atanh(u) = 2 (u + u^3 / 3 + u^5 / 5 + ...), u = difference / sum.
+@inlined
+def squared_log_ratio(over: np.float32, under: np.float32, tiny: np.float32) -> np.float32:
+    """Square of log(over / under) by 2 atanh(u) = 2 (u + u^3 / 3 + u^5 / 5 + ...), u = difference / sum.
 
     To 1 % at ratios below 6, and growing with the ratio beyond; half the cost of the logarithm.
     """
     third, fifth, seventh = np.float32(1 / 3), np.float32(1 / 5), np.float32(1 / 7)
-    for x in range(above.shape[0]):
-        u = (above[x] - below[x]) / (above[x] + below[x] + tiny)
-        q = u * u
-        log = np.float32(2) * u * (np.float32(1) + q * (third + q * (fifth + q * seventh)))
-        out[x] = log * log
+    u = (over - under) / (over + under + tiny)
+    q = u * u
+    log = np.float32(2) * u * (np.float32(1) + q * (third + q * (fifth + q * seventh)))
+    return log * log
 
 
 @compiled
-def _length(gx2: F32, gy2: F32, out: F32) -> None:
-    for x in range(gx2.shape[0]):
-        out[x] = np.sqrt(gx2[x] + gy2[x])
+def _vertical_ratios(
+    left: F32, right: F32, left_above: F32, right_above: F32, below_left: F32, below_right: F32, beside: F32,
+    share: np.float32, decay: np.float32, tiny: np.float32, before: F32, after: F32, gy: F32,
+) -> None:  # fmt: skip
+    """log(below / above) of a row; the sums to its left and right; and the sums from below of the row above.
+
+    `left`, `right` are the row's sums from above, `left_above`, `right_above` those of the row above it: what a row
+    alone adds is the difference of the two. `beside` is what the sums up to a column weigh as those left of the next.
+    """
+    for x in range(left.shape[0]):
+        low_left, low_right = below_left[x], below_right[x]
+        before[x] = beside[x] * (left[x] + low_left)
+        after[x] = right[x] + low_right
+        above = share * (left_above[x] + right_above[x])
+        gy[x] = fast_log((low_left + low_right + tiny) / (above + tiny))
+        below_left[x] = decay * ((left[x] - decay * left_above[x]) + low_left)
+        below_right[x] = decay * ((right[x] - decay * right_above[x]) + low_right)
+
+
+@compiled
+def _squared_vertical_ratios(
+    left: F32, right: F32, left_above: F32, right_above: F32, below_left: F32, below_right: F32, beside: F32,
+    share: np.float32, decay: np.float32, tiny: np.float32, before: F32, after: F32, gy2: F32,
+) -> None:  # fmt: skip
+    """As `_vertical_ratios`, of the squares to 1 %."""
+    for x in range(left.shape[0]):
+        low_left, low_right = below_left[x], below_right[x]
+        before[x] = beside[x] * (left[x] + low_left)
+        after[x] = right[x] + low_right
+        above = share * (left_above[x] + right_above[x])
+        gy2[x] = squared_log_ratio(low_left + low_right, above, tiny)
+        below_left[x] = decay * ((left[x] - decay * left_above[x]) + low_left)
+        below_right[x] = decay * ((right[x] - decay * right_above[x]) + low_right)
+
+
+@compiled
+def _log_ratio(after: F32, before: F32, tiny: np.float32, out: F32) -> None:
+    for x in range(out.shape[0]):
+        out[x] = fast_log((after[x] + tiny) / (before[x] + tiny))
+
+
+@compiled
+def _lengths(after: F32, before: F32, tiny: np.float32, gy2: F32, out: F32) -> None:
+    for x in range(out.shape[0]):
+        out[x] = np.sqrt(squared_log_ratio(after[x], before[x], tiny) + gy2[x])
 
 
 @compiled
@@ -171,31 +187,28 @@ def log_ratios(
     vectorise.
     """
     height, width = up.shape[1], up.shape[2]
-    down_left, down_right = np.zeros(width, np.float32), np.zeros(width, np.float32)
-    over, under = np.zeros(width, np.float32), np.zeros(width + 1, np.float32)
+    below_left, below_right = np.zeros(width, np.float32), np.zeros(width, np.float32)
+    after, before = np.zeros(width, np.float32), np.zeros(width + 1, np.float32)
     nothing = np.zeros(width, np.float32)
     # The sums left of column x are those up to column x - 1, one step decayed.
     beside = np.ones(width, np.float32)
     for x in range(1, width):
         beside[x - 1] = decay * share_x[x]
-    one = np.float32(1)
     only_length = strength.shape[0] > 0
     for y in range(height - 1, -1, -1):
-        above_left = up[0, y - 1] if y > 0 else nothing
-        above_right = up[1, y - 1] if y > 0 else nothing
-        _weighted_sum(up[0, y], down_left, beside, under[1:])
-        _sum(up[1, y], down_right, one, over)
-        under[0] = 0
+        left, right = up[0, y], up[1, y]
+        left_above = up[0, y - 1] if y > 0 else nothing
+        right_above = up[1, y - 1] if y > 0 else nothing
+        share = decay * share_y[y]
         if only_length:
-            _squared_log_ratio(over, under[:width], tiny, gx[0])
+            _squared_vertical_ratios(
+                left, right, left_above, right_above, below_left, below_right, beside, share, decay, tiny,
+                before[1:], after, gy[0],
+            )  # fmt: skip
+            _lengths(after, before[:width], tiny, gy[0], strength[y])
         else:
-            _log_ratio(over, under[:width], tiny, gx[y])
-        _sum(above_left, above_right, decay * share_y[y], under[:width])
-        _sum(down_left, down_right, one, over)
-        if only_length:
-            _squared_log_ratio(over, under[:width], tiny, gy[0])
-            _length(gx[0], gy[0], strength[y])
-        else:
-            _log_ratio(over, under[:width], tiny, gy[y])
-        _retreat(up[0, y], above_left, decay, down_left)
-        _retreat(up[1, y], above_right, decay, down_right)
+            _vertical_ratios(
+                left, right, left_above, right_above, below_left, below_right, beside, share, decay, tiny,
+                before[1:], after, gy[y],
+            )  # fmt: skip
+            _log_ratio(after, before[:width], tiny, gx[y])

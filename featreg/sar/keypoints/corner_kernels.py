@@ -129,7 +129,7 @@ def collect_maxima(score: U8, allowed: U8, least: int, at: I64, values: U8) -> i
 
 
 @compiled
-def intensity_centroid(image: F32, xs: I64, ys: I64, radius: int, stride: int, angle: F64) -> None:
+def intensity_centroid(image: F32 | U8, xs: I64, ys: I64, radius: int, stride: int, angle: F64) -> None:
     """Angle from each point to the intensity centroid of the disc around it, counter-clockwise as seen (y up)."""
     height, width = image.shape
     for i in range(xs.shape[0]):
@@ -142,7 +142,7 @@ def intensity_centroid(image: F32, xs: I64, ys: I64, radius: int, stride: int, a
             row = image[y]
             for dx in range(-(radius // stride) * stride, radius + 1, stride):
                 if dx * dx + dy * dy <= radius * radius:
-                    v = row[min(max(x0 + dx, 0), width - 1)]
+                    v = float(row[min(max(x0 + dx, 0), width - 1)])
                     mx += dx * v
                     my += dy * v
         angle[i] = np.arctan2(-my, mx)

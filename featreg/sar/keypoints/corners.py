@@ -52,7 +52,7 @@ def fast_corners(
     return np.column_stack([x, y]), values[order]
 
 
-def orientation(image: NDArray[np.float32], xy: IntArray, radius: int) -> FloatArray:
+def orientation(image: NDArray[np.float32] | NDArray[np.uint8], xy: IntArray, radius: int) -> FloatArray:
     """Return the (N,) angle from each point to the intensity centroid of the disc of `radius` pixels around it.
 
     Radians, counter-clockwise as seen. Every third pixel of the disc along x and y is used.

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Annotated
 
 import numpy as np
@@ -35,14 +35,11 @@ LENGTH = CELLS * DIRECTIONS
 DISC, RING = 0.25, 0.73
 # Pieces of equal weight into which the patterns are cut.
 DISC_RINGS, PIECE_RINGS = 8, 8
-# Points whose samples are held at a time, at most.
-BLOCK = 64
+# Rows, in pixels of the field, of the bands in which points are taken along x.
+BAND = 32.0
 #: What the parameters of a descriptor of these histograms may be.
 Step = Annotated[float, Interval(ge=0.01, le=0.25)]
 Harmonics = Annotated[int, Interval(ge=0, le=HARMONICS)]
-# Multiplications of one matrix product, at most: so many OpenBLAS does on one thread. Waking others costs more than
-# they save, and many times as much on a busy machine.
-PRODUCT = 1 << 18
 # No component of a unit histogram may exceed the first (Lowe), no cell of unit harmonics the second: a few strong edges
 # must not decide alone.
 CLIP, CELL_CLIP = 0.2, 0.3
@@ -180,63 +177,47 @@ class _Pattern:
     piece: I64
     shares: F32
 
+    @cached_property
+    def nearest(self) -> tuple[I64, F32]:
+        """(S, 4) cells in which each sample counts, and its shares in them; 0 where there are fewer."""
+        shares = self.shares[self.piece]
+        cell = np.argsort(-shares, axis=1, kind="stable")[:, :4]
+        share = np.take_along_axis(shares, cell, axis=1)
+        room = ((0, 0), (0, 4 - cell.shape[1]))
+        return np.pad(cell, room), np.pad(share, room)
+
 
 def _pooled(
     field: GradientField, xy: FloatArray, radius: FloatArray, angle: FloatArray, pattern: _Pattern, bins: int
 ) -> F32:
-    """(N, bins * cells): samples go to small pieces first, where each costs two additions, and pieces to cells."""
+    """(N, bins * cells): every sample shared out to two bins and its cells."""
     from featreg.sar.keypoints import histogram_kernels
 
     height, width = field.x.shape
     magnitude, direction = (np.ascontiguousarray(part).ravel() for part in field.polar)
-    pieces, cells = pattern.shares.shape
-    out = np.empty((len(xy), bins * cells), np.float32)
-    xy, radius, angle = (np.ascontiguousarray(values, np.float64) for values in (xy, radius, angle))
-    count = _points_at_once(bins * pattern.shares.size)
-    for start in range(0, len(xy), count):
-        rows = slice(start, start + count)
-        points = xy[rows], radius[rows], angle[rows]
-        small = np.zeros((len(points[0]), bins, pieces), np.float32)
-        histogram_kernels.pool(magnitude, direction, width, height, *points, pattern.samples, pattern.piece, small)
-        out[rows] = _product(small.reshape(-1, pieces), pattern.shares).reshape(-1, bins * cells)
-    return out
+    out = np.empty((len(xy), bins, pattern.shares.shape[1]), np.float32)
+    points = tuple(np.ascontiguousarray(values, np.float64) for values in (xy, radius, angle))
+    histogram_kernels.pool(magnitude, direction, width, height, *points, pattern.samples, *pattern.nearest, out)
+    return out.reshape(len(xy), out.shape[1] * out.shape[2])
 
 
 def _harmonics(
     field: GradientField, xy: FloatArray, radius: FloatArray, angle: FloatArray, pattern: _Pattern, count: int
 ) -> F32:
-    """(N, (1 + 2 * count) * cells): the harmonics of every sample, then one product with the samples' shares."""
+    """(N, (1 + 2 * count) * cells): the harmonics of every sample, shared out to the cells."""
     from featreg.sar.keypoints import histogram_kernels
 
     height, width = field.x.shape
     gx, gy = (np.ascontiguousarray(part).ravel() for part in (field.x, field.y))
-    shares = pattern.shares[pattern.piece]
-    samples, cells = shares.shape
-    out = np.empty((len(xy), 1 + 2 * count, cells), np.float32)
-    xy, radius, angle = (np.ascontiguousarray(values, np.float64) for values in (xy, radius, angle))
-    block = np.empty((_points_at_once(out.shape[1] * shares.size), out.shape[1], samples), np.float32)
-    for start in range(0, len(xy), len(block)):
-        rows = slice(start, start + len(block))
-        points = xy[rows], radius[rows], angle[rows]
-        some = block[: len(points[0])]
-        histogram_kernels.sample_harmonics(gx, gy, width, height, *points, pattern.samples, some)
-        out[rows] = _product(some.reshape(-1, samples), shares).reshape(-1, *out.shape[1:])
+    out = np.empty((len(xy), 1 + 2 * count, pattern.shares.shape[1]), np.float32)
+    points = tuple(np.ascontiguousarray(values, np.float64) for values in (xy, radius, angle))
+    # Along the rows of the field, so that neighbours read what is in the cache.
+    order = np.argsort(np.floor(points[0][:, 1] / BAND) * width + points[0][:, 0], kind="stable")
+    histogram_kernels.harmonics(gx, gy, width, height, order, *points, pattern.samples, *pattern.nearest, out)
     k = np.arange(count + 1)
     weight = np.sinc(k / DIRECTIONS) ** 2 * np.sqrt(np.where(k > 0, 2, 1) / DIRECTIONS)
     out *= np.repeat(weight, 2)[1:, None].astype(np.float32)
-    return out.reshape(len(xy), out.shape[1] * cells)
-
-
-def _points_at_once(multiplications: int) -> int:
-    """So many points, each of which takes so many multiplications, go into one matrix product."""
-    return max(1, min(BLOCK, PRODUCT // multiplications))
-
-
-def _product(left: F32, right: F32) -> F32:
-    """The matrix product, the same to the bit on any number of threads."""
-    if min(len(left), right.shape[1]) == 1 or len(left) * right.size > PRODUCT:
-        return np.asarray(np.einsum("ij,jk->ik", left, right))
-    return np.asarray(left @ right)
+    return out.reshape(len(xy), out.shape[1] * out.shape[2])
 
 
 @lru_cache(maxsize=16)

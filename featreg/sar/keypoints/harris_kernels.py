@@ -21,10 +21,64 @@ def _products_of_row(gx: F32, gy: F32, xx: F32, xy: F32, yy: F32) -> None:
 
 
 @compiled
-def products(gx: F32, gy: F32, maps: F32) -> None:
-    """Fill maps (3, H, W) with gx^2, gx gy and gy^2."""
-    for y in range(gx.shape[0]):
-        _products_of_row(gx[y], gy[y], maps[0, y], maps[1, y], maps[2, y])
+def _three(before: F32, middle: F32, after: F32, w0: np.float32, w1: np.float32, out: F32) -> None:
+    for i in range(out.shape[0]):
+        out[i] = w0 * middle[i] + w1 * (before[i] + after[i])
+
+
+@compiled
+def _five(
+    a: F32, b: F32, middle: F32, c: F32, d: F32, w0: np.float32, w1: np.float32, w2: np.float32, out: F32
+) -> None:
+    for i in range(out.shape[0]):
+        out[i] = w0 * middle[i] + w1 * (b[i] + c[i]) + w2 * (a[i] + d[i])
+
+
+@compiled
+def _two_more(before: F32, after: F32, weight: np.float32, out: F32) -> None:
+    for i in range(out.shape[0]):
+        out[i] += weight * (before[i] + after[i])
+
+
+@compiled
+def _four_more(a: F32, b: F32, c: F32, d: F32, inner: np.float32, outer: np.float32, out: F32) -> None:
+    for i in range(out.shape[0]):
+        out[i] += inner * (b[i] + c[i]) + outer * (a[i] + d[i])
+
+
+@compiled
+def _smoothed_along(row: F32, taps: F32, out: F32) -> None:
+    """Smooth a row, which is as much longer than `out` on both sides as there are taps beside the middle one."""
+    m, n = taps.shape[0] - 1, out.shape[0]
+    if m == 1:
+        _three(row[:n], row[1 : 1 + n], row[2 : 2 + n], taps[0], taps[1], out)
+        return
+    _five(
+        row[m - 2 : m - 2 + n], row[m - 1 : m - 1 + n], row[m : m + n], row[m + 1 : m + 1 + n], row[m + 2 : m + 2 + n],
+        taps[0], taps[1], taps[2], out,
+    )  # fmt: skip
+    for k in range(3, m, 2):
+        a, b, c, d = m - k - 1, m - k, m + k, m + k + 1
+        _four_more(row[a : a + n], row[b : b + n], row[c : c + n], row[d : d + n], taps[k], taps[k + 1], out)
+    if m % 2:
+        _two_more(row[:n], row[2 * m : 2 * m + n], taps[m], out)
+
+
+@compiled
+def _smoothed_across(rows: F32, at: I64, taps: F32, out: F32) -> None:
+    """Smooth across rows (n, W), of which those `at` (2 * reach + 1,) lie around the wanted one, in order."""
+    m = taps.shape[0] - 1
+    if m == 1:
+        _three(rows[at[0]], rows[at[1]], rows[at[2]], taps[0], taps[1], out)
+        return
+    _five(
+        rows[at[m - 2]], rows[at[m - 1]], rows[at[m]], rows[at[m + 1]], rows[at[m + 2]], taps[0], taps[1], taps[2], out
+    )
+    for k in range(3, m, 2):
+        a, b, c, d = rows[at[m - k - 1]], rows[at[m - k]], rows[at[m + k]], rows[at[m + k + 1]]
+        _four_more(a, b, c, d, taps[k], taps[k + 1], out)
+    if m % 2:
+        _two_more(rows[at[0]], rows[at[2 * m]], taps[m], out)
 
 
 @compiled
@@ -35,10 +89,40 @@ def _response_of_row(xx: F32, xy: F32, yy: F32, d: np.float32, out: F32) -> None
 
 
 @compiled
-def response(maps: F32, d: np.float32, out: F32) -> None:
-    """Fill `out` with det - d trace^2 of the matrices whose elements xx, xy, yy are maps (3, H, W)."""
-    for y in range(maps.shape[1]):
-        _response_of_row(maps[0, y], maps[1, y], maps[2, y], d, out[y])
+def response(gx: F32, gy: F32, taps: F32, rows: I64, columns: I64, d: np.float32, out: F32) -> None:
+    """Fill `out` with det - d trace^2 of the smoothed matrix of a gradient field (H, W).
+
+    `taps` (1 + reach,) are the weights of a symmetric filter from its middle on; `rows` (H + 2 * reach,) and `columns`
+    (W + 2 * reach,) name the row and the column that stands at each place from `reach` before the first on, so that the
+    border is the caller's. What is smoothed along rows waits in a ring of as many rows as the filter is high: nothing
+    but the gradients and the response leaves the cache.
+    """
+    height, width = gx.shape
+    reach = taps.shape[0] - 1
+    side = 2 * reach + 1
+    ring = np.empty((3, side, width), np.float32)
+    product, smooth = np.empty((3, width + 2 * reach), np.float32), np.empty((3, width), np.float32)
+    places = np.empty(side, np.int64)
+    done = 0
+    for y in range(height):
+        _products_of_row(
+            gx[y], gy[y],
+            product[0, reach : reach + width], product[1, reach : reach + width], product[2, reach : reach + width],
+        )  # fmt: skip
+        for n in range(3):
+            for k in range(reach):
+                product[n, k] = product[n, reach + columns[k]]
+                product[n, reach + width + k] = product[n, reach + columns[reach + width + k]]
+            _smoothed_along(product[n], taps, ring[n, y % side])
+        # A row is complete when the last one that it needs is there; the last ones wait for the last of all.
+        ready = y - reach + 1 if y < height - 1 else height
+        for row in range(done, ready):
+            for k in range(side):
+                places[k] = rows[row + k] % side
+            for n in range(3):
+                _smoothed_across(ring[n], places, taps, smooth[n])
+            _response_of_row(smooth[0], smooth[1], smooth[2], d, out[row])
+        done = max(done, ready)
 
 
 @compiled

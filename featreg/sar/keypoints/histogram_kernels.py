@@ -44,17 +44,17 @@ def _split(place: F32, turn: np.float32, per_radian: np.float32, bins: np.float3
 @compiled
 def pool(
     magnitude: F32, direction: F32, width: int, height: int, xy: F64, radius: F64, angle: F64, pattern: F32,
-    piece: I64, out: F32,
+    cell: I64, share: F32, out: F32,
 ) -> None:  # fmt: skip
-    """Add the gradients around each point to the histograms of the pieces of a pattern.
+    """Histograms of the directions of the gradients around each point, in cells.
 
     `magnitude`, `direction` (H * W,) are the flat fields, directions in radians counter-clockwise as seen, in
-    [0, 2 pi]. `pattern` (2, S) holds the samples in units of the radius, y up; sample k belongs to piece `piece[k]`.
-    `out` is (N, bins, pieces); a direction, relative to the point's angle, is shared by the two nearest bins, bin 0
-    being centred on the point's own direction.
+    [0, 2 pi]. `pattern` (2, S) holds the samples in units of the radius, y up; a sample counts in the cells
+    `cell` (S, 4) with the shares `share` (S, 4), the largest first, 0 where it has fewer. `out` is (N, bins, cells); a
+    direction, relative to the point's angle, is shared by the two nearest bins, bin 0 being centred on the point's own
+    direction.
     """
-    samples = pattern.shape[1]
-    bins = out.shape[1]
+    samples, bins = pattern.shape[1], out.shape[1]
     at = np.empty(samples, np.int32)
     strength, place = np.empty(samples, np.float32), np.empty(samples, np.float32)
     per_radian = np.float32(bins / (2 * np.pi))
@@ -66,57 +66,123 @@ def pool(
         _gather(direction, at, place)
         _split(place, np.float32(turn), per_radian, np.float32(bins))
         row = out[i]
+        row[:] = 0
         for k in range(samples):
             first = int(place[k])
             upper = (place[k] - np.float32(first)) * strength[k]
+            lower = strength[k] - upper
             second = first + 1 if first + 1 < bins else 0
-            row[np.uint64(first), np.uint64(piece[k])] += strength[k] - upper
-            row[np.uint64(second), np.uint64(piece[k])] += upper
+            for n in range(4):
+                if share[k, n] == 0:
+                    break
+                row[np.uint64(first), np.uint64(cell[k, n])] += share[k, n] * lower
+                row[np.uint64(second), np.uint64(cell[k, n])] += share[k, n] * upper
 
 
 @compiled
-def _lengths(gx: F32, gy: F32, cosine: np.float32, sine: np.float32, length: F32) -> None:
+def _look_up_beside(
+    x0: F32, y0: F32, c: F32, s: F32, width: int, height: int, u: np.float32, v: np.float32, at: I32, inside: F32
+) -> None:
+    """As `_look_up`, of one sample of several points; `inside` is 0 and the index any of the field's outside of it."""
+    right, bottom, half = np.float32(width - 1), np.float32(height - 1), np.float32(0.5)
+    zero, one = np.float32(0), np.float32(1)
+    for i in range(at.shape[0]):
+        x = np.floor(x0[i] + c[i] * u - s[i] * v + half)
+        y = np.floor(y0[i] - s[i] * u - c[i] * v + half)
+        near_x, near_y = min(max(x, zero), right), min(max(y, zero), bottom)
+        inside[i] = one if (x == near_x) & (y == near_y) else zero
+        at[i] = np.int32(near_y) * np.int32(width) + np.int32(near_x)
+
+
+@compiled
+def _gather_both(gx: F32, gy: F32, at: I32, inside: F32, along: F32, up: F32) -> None:
+    for i in range(at.shape[0]):
+        place = np.uint64(at[i])
+        along[i] = inside[i] * gx[place]
+        up[i] = inside[i] * gy[place]
+
+
+@compiled
+def _lengths(gx: F32, gy: F32, cosine: F32, sine: F32, length: F32) -> None:
     """Turn gradients (y down) into lengths and unit vectors (y up) counted from an angle; none where there is none."""
-    for k in range(length.shape[0]):
-        length[k] = np.sqrt(gx[k] * gx[k] + gy[k] * gy[k])
-        inverse = np.float32(1) / max(length[k], np.float32(1e-30))
-        along, up = gx[k] * inverse, -gy[k] * inverse
-        gx[k] = cosine * along + sine * up
-        gy[k] = cosine * up - sine * along
+    for i in range(length.shape[0]):
+        length[i] = np.sqrt(gx[i] * gx[i] + gy[i] * gy[i])
+        inverse = np.float32(1) / max(length[i], np.float32(1e-30))
+        along, up = gx[i] * inverse, -gy[i] * inverse
+        gx[i] = cosine[i] * along + sine[i] * up
+        gy[i] = cosine[i] * up - sine[i] * along
+
+
+@compiled
+def _first_harmonic(along: F32, up: F32, length: F32, out_c: F32, out_s: F32) -> None:
+    for i in range(along.shape[0]):
+        out_c[i], out_s[i] = length[i] * along[i], length[i] * up[i]
 
 
 @compiled
 def _next_harmonic(along: F32, up: F32, before_c: F32, before_s: F32, out_c: F32, out_s: F32) -> None:
-    for k in range(along.shape[0]):
-        out_c[k] = before_c[k] * along[k] - before_s[k] * up[k]
-        out_s[k] = before_c[k] * up[k] + before_s[k] * along[k]
+    for i in range(along.shape[0]):
+        out_c[i] = before_c[i] * along[i] - before_s[i] * up[i]
+        out_s[i] = before_c[i] * up[i] + before_s[i] * along[i]
 
 
 @compiled
-def sample_harmonics(
-    gx: F32, gy: F32, width: int, height: int, xy: F64, radius: F64, angle: F64, pattern: F32, out: F32
-) -> None:
-    """Read the gradients around each point, and the harmonics of their directions.
+def _add(values: F32, share: np.float32, out: F32) -> None:
+    for i in range(out.shape[0]):
+        out[i] += share * values[i]
+
+
+@compiled
+def harmonics(
+    gx: F32, gy: F32, width: int, height: int, order: I64, xy: F64, radius: F64, angle: F64, pattern: F32, cell: I64,
+    share: F32, out: F32,
+) -> None:  # fmt: skip
+    """Sum the gradients around each point, and the harmonics of their directions, in cells.
 
     `gx`, `gy` (H * W,) are the flat components, y down. `pattern` (2, S) holds the samples in units of the radius,
-    y up, and turns by the point's angle. `out` is (N, 1 + 2 K, S): the length m of each gradient, and m cos(k t),
-    m sin(k t) for k = 1 to K, t being its direction counter-clockwise from the point's own.
+    y up, and turns by the point's angle; a sample counts in the cells `cell` (S, 4) with the shares `share` (S, 4), 0
+    where it has fewer. `out` is (N, 1 + 2 K, cells): the sum of the lengths m, and of m cos(k t), m sin(k t) for k = 1
+    to K, t being the direction counter-clockwise from the point's own. Points are taken in the `order` (N,) given, 64
+    at a time, which lie side by side in the processor's lanes: what is near in it should be near in the image.
     """
-    samples = pattern.shape[1]
-    at, none = np.empty(samples, np.int32), np.zeros(samples, np.float32)
-    along, up = np.empty(samples, np.float32), np.empty(samples, np.float32)
-    for i in range(xy.shape[0]):
-        turn = angle[i] % (2 * np.pi)
-        cosine, sine = np.float32(np.cos(turn)), np.float32(np.sin(turn))
-        c, s = np.float32(radius[i]) * cosine, np.float32(radius[i]) * sine
-        _look_up(np.float32(xy[i, 0]), np.float32(xy[i, 1]), c, s, width, height, pattern[0], pattern[1], at)
-        _gather(gx, at, along)
-        _gather(gy, at, up)
-        _lengths(along, up, cosine, sine, out[i, 0])
-        if out.shape[1] > 1:
-            _next_harmonic(along, up, out[i, 0], none, out[i, 1], out[i, 2])
-        for row in range(3, out.shape[1], 2):
-            _next_harmonic(along, up, out[i, row - 2], out[i, row - 1], out[i, row], out[i, row + 1])
+    count, rows, cells = out.shape
+    lanes = 64
+    x0, y0 = np.empty(lanes, np.float32), np.empty(lanes, np.float32)
+    cosine, sine = np.empty(lanes, np.float32), np.empty(lanes, np.float32)
+    c, s = np.empty(lanes, np.float32), np.empty(lanes, np.float32)
+    along, up = np.empty(lanes, np.float32), np.empty(lanes, np.float32)
+    at, inside = np.empty(lanes, np.int32), np.empty(lanes, np.float32)
+    found = np.empty(rows * lanes, np.float32)
+    sums = np.empty((cells, rows * lanes), np.float32)
+    for start in range(0, count, lanes):
+        for i in range(lanes):
+            # The last lanes repeat the last point.
+            point = order[min(start + i, count - 1)]
+            turn = angle[point] % (2 * np.pi)
+            x0[i], y0[i] = np.float32(xy[point, 0]), np.float32(xy[point, 1])
+            cosine[i], sine[i] = np.float32(np.cos(turn)), np.float32(np.sin(turn))
+            c[i], s[i] = np.float32(radius[point]) * cosine[i], np.float32(radius[point]) * sine[i]
+        sums[:] = 0
+        for k in range(pattern.shape[1]):
+            _look_up_beside(x0, y0, c, s, width, height, pattern[0, k], pattern[1, k], at, inside)
+            _gather_both(gx, gy, at, inside, along, up)
+            _lengths(along, up, cosine, sine, found[:lanes])
+            if rows > 1:
+                _first_harmonic(along, up, found[:lanes], found[lanes : 2 * lanes], found[2 * lanes : 3 * lanes])
+            for row in range(3, rows, 2):
+                first = row * lanes
+                _next_harmonic(
+                    along, up, found[first - 2 * lanes : first - lanes], found[first - lanes : first],
+                    found[first : first + lanes], found[first + lanes : first + 2 * lanes],
+                )  # fmt: skip
+            for n in range(4):
+                if share[k, n] > 0:
+                    _add(found, share[k, n], sums[cell[k, n]])
+        for i in range(min(lanes, count - start)):
+            point = order[start + i]
+            for row in range(rows):
+                for n in range(cells):
+                    out[point, row, n] = sums[n, row * lanes + i]
 
 
 @compiled

@@ -1,0 +1,57 @@
+"""Views of the amplitude in strips against the same of the whole image."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+
+from featreg.sar.speckle import (
+    BELOW_MEAN,
+    FLOOR,
+    STRIP,
+    despeckled,
+    despeckled_bytes,
+    filled_amplitude,
+    log_amplitude,
+    mean_amplitude,
+)
+from featreg.types import Image
+
+
+def speckled(height: int, width: int, *, holed: bool = False) -> Image:
+    rng = np.random.default_rng(height)
+    pixels = np.sqrt(rng.gamma(2, 0.5, (height, width))).astype(np.float32)
+    valid = np.ones(pixels.shape, np.bool_)
+    if holed:
+        valid[5:20, 7:30] = False
+    return Image(np.where(valid, pixels, 0).astype(np.float32), valid)
+
+
+@pytest.mark.parametrize("shape", [(300, 600), (40, STRIP + 3), (1, 50), (400, 9), (3, 3)])
+@pytest.mark.parametrize("sigma", [0.7, 1.0, 2.5])
+def test_strips_are_pieces_of_the_whole(shape: tuple[int, int], sigma: float) -> None:
+    image = speckled(*shape, holed=min(shape) > 30)
+    floor = FLOOR * mean_amplitude(image)
+    log = cv2.log(np.maximum(filled_amplitude(image), np.float32(floor)))
+    side = 2 * round(2.5 * sigma) + 1
+    smooth = cv2.GaussianBlur(log, (side, side), sigma, borderType=cv2.BORDER_REFLECT_101)
+    np.testing.assert_allclose(log_amplitude(image), log, atol=1e-6)
+    np.testing.assert_allclose(despeckled(image, sigma), smooth.reshape(shape), atol=2e-6)
+
+
+def test_bytes_are_steps_around_the_mean_level() -> None:
+    image = speckled(200, 300)
+    view, steps = despeckled(image), despeckled_bytes(image)
+    middle = math.log(mean_amplitude(image)) - BELOW_MEAN
+    np.testing.assert_allclose(steps, 128 + 28 * (view - middle), atol=0.51)
+    assert abs(float(steps.mean()) - 128) < 5
+
+
+def test_the_darkest_and_brightest_pixels_do_not_fold_over() -> None:
+    pixels = np.ones((60, 60), np.float32)
+    pixels[:, 30:], pixels[:10, :10] = 1e-6, 1e3
+    steps = despeckled_bytes(Image(pixels, np.ones(pixels.shape, np.bool_)))
+    assert steps[5, 5] > steps[40, 10] >= steps[40, 50]
