@@ -153,6 +153,6 @@ def _fill_response(gx: F32, gy: F32, sigma: float, d: float, response: F32) -> N
     from featreg.sar.keypoints import harris_kernels
 
     reach = max(1, math.ceil(REACH * sigma))
-    taps = cv2.getGaussianKernel(2 * reach + 1, sigma, cv2.CV_32F).ravel()[reach:]
+    taps = np.asarray(cv2.getGaussianKernel(2 * reach + 1, sigma).ravel()[reach:], np.float32)
     rows, columns = (reflected(length, reach) for length in gx.shape)
-    harris_kernels.response(gx, gy, np.ascontiguousarray(taps), rows, columns, np.float32(d), response)
+    harris_kernels.response(gx, gy, taps, rows, columns, np.float32(d), response)

@@ -88,6 +88,28 @@ def add_orientation(
 
 
 @compiled
+def add_orientation_of_two(
+    parts: F32, width: int, top: int, left: int,
+    noise: np.float32, floor: np.float32, gain: np.float32, cut_off: np.float32,
+    cosine: np.float32, sine: np.float32, moments: F32, amplitude: F32,
+) -> None:  # fmt: skip
+    """`add_orientation` of two scales, the rows of an array: such calls can be prepared, those with tuples cannot."""
+    both = parts[0], parts[1]
+    add_orientation(both, width, top, left, noise, floor, gain, cut_off, cosine, sine, moments, amplitude)
+
+
+@compiled
+def add_orientation_of_four(
+    parts: F32, width: int, top: int, left: int,
+    noise: np.float32, floor: np.float32, gain: np.float32, cut_off: np.float32,
+    cosine: np.float32, sine: np.float32, moments: F32, amplitude: F32,
+) -> None:  # fmt: skip
+    """`add_orientation` of four scales, the rows of an array."""
+    four = parts[0], parts[1], parts[2], parts[3]
+    add_orientation(four, width, top, left, noise, floor, gain, cut_off, cosine, sine, moments, amplitude)
+
+
+@compiled
 def _principal(xx: F32, yy: F32, xy: F32, norm: np.float32, largest: F32, smallest: F32) -> None:
     half = np.float32(0.5)
     for x in range(xx.shape[0]):
@@ -141,3 +163,17 @@ def dominant_index(amplitudes: tuple[F32, ...], width: int, steps: int, top: int
     per_index = np.float32(steps / len(amplitudes))
     for y in range(amplitudes[0].shape[0] // width):
         _index_row(amplitudes, y * width, per_index, np.float32(steps), index[top + y, left : left + width])
+
+
+@compiled
+def dominant_index_of_four(amplitudes: F32, width: int, steps: int, top: int, left: int, index: U8) -> None:
+    """`dominant_index` of four orientations, the rows of an array."""
+    four = amplitudes[0], amplitudes[1], amplitudes[2], amplitudes[3]
+    dominant_index(four, width, steps, top, left, index)
+
+
+@compiled
+def dominant_index_of_six(amplitudes: F32, width: int, steps: int, top: int, left: int, index: U8) -> None:
+    """`dominant_index` of six orientations, the rows of an array."""
+    six = amplitudes[0], amplitudes[1], amplitudes[2], amplitudes[3], amplitudes[4], amplitudes[5]
+    dominant_index(six, width, steps, top, left, index)

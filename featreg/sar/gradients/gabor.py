@@ -136,7 +136,7 @@ def _piece(
         else:
             gabor_kernels.filter_folded(spectrum, transfer, means)
         inverse_transform(means)
-        gabor_kernels.add_ratios(means, first, place, small, x, y, gx, gy)
+        gabor_kernels.add_ratios(means, first, *place, small, x, y, gx, gy)
 
 
 def _reach(sigma: float) -> int:

@@ -36,15 +36,15 @@ def _add(ratio: F32, factor: np.float32, out: F32) -> None:
 
 @compiled
 def add_ratios(
-    means: C64, first: int, place: tuple[int, int, int, int], small: np.float32, x: np.float32, y: np.float32, gx: F32,
-    gy: F32,
+    means: C64, first: int, top: int, left: int, height: int, width: int, small: np.float32, x: np.float32,
+    y: np.float32, gx: F32, gy: F32,
 ) -> None:  # fmt: skip
     """Add log((m + d) / (m - d)) times (x, -y) of means m + i d, where m is raised by `small`.
 
-    `place` is the first row and column in `gx` and `gy`, and how many; they begin at row and column `first` of `means`.
+    They go to `height` rows and `width` columns from (`top`, `left`) of `gx` and `gy` on, and begin at row and column
+    `first` of `means`.
     Whole arrays, whose rows the compiler knows to be contiguous.
     """
-    top, left, height, width = place
     after, before = np.empty(width, np.float32), np.empty(width, np.float32)
     for row in range(height):
         _sides(means[first + row, first : first + width].view(np.float32), small, after, before)

@@ -90,10 +90,10 @@ class Piece:
     margin: int
     spectrum: C64
     transfers: F32
-    parts: tuple[C64, ...]
+    parts: C64
 
-    def responses(self, orientation: int) -> tuple[C64, ...]:
-        """Return the scales' complex (h, w) responses, even-symmetric + j * odd-symmetric, C-contiguous.
+    def responses(self, orientation: int) -> C64:
+        """Return the scales' complex (scales, h, w) responses, even-symmetric + j * odd-symmetric, C-contiguous.
 
         They are overwritten by the next call.
         """
@@ -128,7 +128,7 @@ def pieces(view: F32, bank: LogGabor) -> Iterator[Piece]:
     transfers = _transfers(height, width, bank)
     # New memory costs as much as a transform.
     spectrum, nothing = np.empty((height, width), np.complex64), np.zeros((height, width), np.float32)
-    parts = tuple(np.empty((height, width), np.complex64) for _ in range(bank.scales))
+    parts = np.empty((bank.scales, height, width), np.complex64)
     for top in range(0, view.shape[0], high):
         for left in range(0, view.shape[1], wide):
             # A real transform would give half of the spectrum, and filling in the other half takes longer.

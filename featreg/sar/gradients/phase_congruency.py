@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from annotated_types import Interval
@@ -134,22 +134,47 @@ def _maps(image: Image, bank: LogGabor, congruency: Congruency) -> tuple[F32, F3
         moments[:] = 0
         for o, (cosine, sine) in enumerate(directions):
             responses = piece.responses(o)
-            congruency_kernels.add_orientation(
-                tuple(part.view(np.float32).ravel() for part in responses), responses[0].shape[1],
-                piece.margin, piece.margin, noise, floor, gain, cut_off, cosine, sine, moments, amplitudes[o],
+            flat = responses.view(np.float32).reshape(len(responses), -1)
+            _add_orientation(
+                flat, responses.shape[2], piece.margin, piece.margin, noise, floor, gain, cut_off, cosine, sine,
+                moments, amplitudes[o],
             )  # fmt: skip
         norm = np.float32(2 / len(angles))
         congruency_kernels.principal_moments(moments, norm, top, left, largest, smallest)
-        congruency_kernels.dominant_index(tuple(a.ravel() for a in amplitudes), width, STEPS, top, left, index)
+        _dominant_index(amplitudes.reshape(len(angles), -1), width, STEPS, top, left, index)
     return largest, smallest, index, usable.mask
+
+
+def _add_orientation(parts: F32, *rest: Any) -> None:
+    """The kernel for so many scales; the numbers in use are prepared, others compile at their first call."""
+    from featreg.sar.gradients import congruency_kernels
+
+    usual = {2: congruency_kernels.add_orientation_of_two, 4: congruency_kernels.add_orientation_of_four}
+    if len(parts) in usual:
+        usual[len(parts)](parts, *rest)
+    else:
+        congruency_kernels.add_orientation(tuple(parts), *rest)
+
+
+def _dominant_index(amplitudes: F32, *rest: Any) -> None:
+    """The kernel for so many orientations, likewise."""
+    from featreg.sar.gradients import congruency_kernels
+
+    usual = {4: congruency_kernels.dominant_index_of_four, 6: congruency_kernels.dominant_index_of_six}
+    if len(amplitudes) in usual:
+        usual[len(amplitudes)](amplitudes, *rest)
+    else:
+        congruency_kernels.dominant_index(tuple(amplitudes), *rest)
 
 
 def _view(image: Image, name: str, reach: int) -> F32:
     """The view to be filtered, invalid pixels at the local mean of the valid ones, or at the mean of all."""
     import cv2
 
-    relative = image.amplitude / np.float32(max(mean_amplitude(image), 1e-30))
-    view = np.log1p(relative, out=relative) if name == "soft-log" else relative
+    view = image.amplitude / np.float32(max(mean_amplitude(image), 1e-30))
+    if name == "soft-log":
+        view += 1
+        cv2.log(view, view)
     if image.all_valid:
         return np.asarray(view, np.float32)
     valid = image.mask.astype(np.float32)

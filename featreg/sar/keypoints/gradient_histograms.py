@@ -196,8 +196,9 @@ def _pooled(
     height, width = field.x.shape
     magnitude, direction = (np.ascontiguousarray(part).ravel() for part in field.polar)
     out = np.empty((len(xy), bins, pattern.shares.shape[1]), np.float32)
-    points = tuple(np.ascontiguousarray(values, np.float64) for values in (xy, radius, angle))
-    histogram_kernels.pool(magnitude, direction, width, height, *points, pattern.samples, *pattern.nearest, out)
+    xy, radius, angle = (np.ascontiguousarray(values, np.float64) for values in (xy, radius, angle))
+    cell, share = pattern.nearest
+    histogram_kernels.pool(magnitude, direction, width, height, xy, radius, angle, pattern.samples, cell, share, out)
     return out.reshape(len(xy), out.shape[1] * out.shape[2])
 
 
@@ -210,10 +211,11 @@ def _harmonics(
     height, width = field.x.shape
     gx, gy = (np.ascontiguousarray(part).ravel() for part in (field.x, field.y))
     out = np.empty((len(xy), 1 + 2 * count, pattern.shares.shape[1]), np.float32)
-    points = tuple(np.ascontiguousarray(values, np.float64) for values in (xy, radius, angle))
+    xy, radius, angle = (np.ascontiguousarray(values, np.float64) for values in (xy, radius, angle))
+    cell, share = pattern.nearest
     # Along the rows of the field, so that neighbours read what is in the cache.
-    order = np.argsort(np.floor(points[0][:, 1] / BAND) * width + points[0][:, 0], kind="stable")
-    histogram_kernels.harmonics(gx, gy, width, height, order, *points, pattern.samples, *pattern.nearest, out)
+    order = np.argsort(np.floor(xy[:, 1] / BAND) * width + xy[:, 0], kind="stable")
+    histogram_kernels.harmonics(gx, gy, width, height, order, xy, radius, angle, pattern.samples, cell, share, out)
     k = np.arange(count + 1)
     weight = np.sinc(k / DIRECTIONS) ** 2 * np.sqrt(np.where(k > 0, 2, 1) / DIRECTIONS)
     out *= np.repeat(weight, 2)[1:, None].astype(np.float32)

@@ -17,7 +17,7 @@ F32 = NDArray[np.float32]
 
 
 def fused(gx: F32, gy: F32, sigma: float, reach: int, d: float) -> F32:
-    taps = np.ascontiguousarray(cv2.getGaussianKernel(2 * reach + 1, sigma, cv2.CV_32F).ravel()[reach:])
+    taps = np.asarray(cv2.getGaussianKernel(2 * reach + 1, sigma).ravel()[reach:], np.float32)
     rows, columns = (reflected(length, reach) for length in gx.shape)
     out = np.full(gx.shape, np.nan, np.float32)
     harris_kernels.response(gx, gy, taps, rows, columns, np.float32(d), out)
