@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from types import MappingProxyType
 from typing import Annotated, Any, ClassVar
 
@@ -128,6 +129,7 @@ def _cells(unit: FloatArray, along: FloatArray, dx: float, dy: float) -> IntArra
     return np.where(inside, y * wide + x, -1).astype(np.int64)
 
 
+@cache
 def _turned(turn: int) -> IntArray:
     """The (dx, dy) neighbours, in reading order, after the ring was walked on by `turn` steps."""
     ring = np.zeros((9, 2), np.int64)

@@ -66,19 +66,20 @@ def normalise(
     w = np.ones(len(r)) if weights is None else np.asarray(weights, np.float64)
     if w.shape != (len(r),):
         raise InputError(f"a fit of {len(r)} points needs weights of shape ({len(r)},), got {w.shape}")
-    usable = (np.abs(r) < FARTHEST).all(axis=1) & (np.abs(s) < FARTHEST).all(axis=1) & np.isfinite(w)
-    if not usable.all():
-        return FailedFit(f"{int((~usable).sum())} of {len(r)} points or weights are not finite")
-    if (w < 0).any():
-        return FailedFit(f"{int((w < 0).sum())} of {len(r)} weights are negative")
-    given = len(r)
-    if not w.all():
+    given, heaviest = len(r), w.max()
+    # What is not finite passes no comparison.
+    if not (_on_images(r) and _on_images(s) and w.min() > 0 and heaviest < np.inf):
+        usable = (np.abs(r) < FARTHEST).all(axis=1) & (np.abs(s) < FARTHEST).all(axis=1) & np.isfinite(w)
+        if not usable.all():
+            return FailedFit(f"{int((~usable).sum())} of {len(r)} points or weights are not finite")
+        if (w < 0).any():
+            return FailedFit(f"{int((w < 0).sum())} of {len(r)} weights are negative")
         r, s, w = r[w > 0], s[w > 0], w[w > 0]
     if len(r) < minimum:
         found = f"got {len(r)}" if len(r) else f"none of {given}"
         return FailedFit(f"too few points: {minimum} needed, {found} of positive weight")
     # Two divisions: the mean of weights near the end of float64's range must not overflow.
-    w = w / w.max()
+    w = w / heaviest
     w = w / w.mean()
     rc, sc = (w @ r) / len(r), (w @ s) / len(s)
     r, s = r - rc, s - sc
@@ -87,6 +88,11 @@ def normalise(
         if spread and size <= 1e-10 * (1.0 + np.abs(centre).max()):
             return FailedFit(f"the {len(r)} {image} points coincide: spread {size:.3g} px")
     return Normalised(r / (rs or 1.0), s / (ss or 1.0), w, rc, sc, rs or 1.0, ss or 1.0)
+
+
+def _on_images(xy: FloatArray) -> bool:
+    """Whether all coordinates can be those of pixels."""
+    return bool(xy.max() < FARTHEST and xy.min() > -FARTHEST)
 
 
 class LinearPart(NamedTuple):

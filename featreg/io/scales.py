@@ -77,9 +77,9 @@ def real_pixels(
     known = np.isfinite(values)
     valid = known if valid is None else valid & known
     negative = (values < 0) & valid
-    below = int(negative.sum())
+    below = int(np.count_nonzero(negative))
     if scale is None:
-        scale = _inferred_scale(values[valid], below, name, said) if below else _without_negatives(values[valid], said)
+        scale = _inferred_scale(values[valid], below, name, said) if below else _without_negatives(values, valid, said)
     if below and scale == "intensity":
         # What the subtraction of noise leaves below zero is data: ground that is very dark.
         values = np.maximum(values, 0)
@@ -159,10 +159,11 @@ def _inferred_scale(values: NDArray[Any], below: int, name: str, said: str | Non
     )
 
 
-def _without_negatives(values: NDArray[Any], said: str | None) -> str:
+def _without_negatives(values: NDArray[Any], valid: BoolArray, said: str | None) -> str:
     """Return the scale of samples none of which is negative: decibels only where the file says so and they can be."""
-    real = values.dtype.kind == "f" and values.size > 0
-    return "db" if said == "db" and real and float(values.max()) <= DB_RANGE[1] else "amplitude"
+    if said != "db" or values.dtype.kind != "f" or not valid.any():
+        return "amplitude"
+    return "db" if float(values[valid].max()) <= DB_RANGE[1] else "amplitude"
 
 
 def _noise_removed(values: NDArray[Any]) -> bool:

@@ -136,9 +136,12 @@ class Evidence:
     measured: Matches | None = None
     chance: float = 0.0
 
-    def left(self, model: Model) -> FloatArray:
-        """(2, 2) linear part of a model at the reference's centre, beside what geography states."""
-        linear = at_centre(model, self.reference_shape)
+    @cached_property
+    def left(self) -> FloatArray:
+        """(2, 2) linear part of the model at the reference's centre, beside what geography states; NaN without one."""
+        if isinstance(self.model, FailedFit):
+            return np.full((2, 2), np.nan)
+        linear = at_centre(self.model, self.reference_shape)
         return linear if self.stated is None else np.linalg.inv(self.stated) @ linear
 
     @cached_property
@@ -254,19 +257,19 @@ CONDITIONS = (
     Condition(
         "determinant",
         "of the model's linear part; the images are mirrored where negative",
-        lambda e, model: float(np.linalg.det(e.left(model))),
+        lambda e, model: float(np.linalg.det(e.left)),
         lambda limits, e: (0.0, None),
     ),
     Condition(
         "scale",
         "scale at the centre",
-        lambda e, model: math.sqrt(abs(float(np.linalg.det(e.left(model))))),
+        lambda e, model: math.sqrt(abs(float(np.linalg.det(e.left)))),
         lambda limits, e: (1 / limits.scale, limits.scale),
     ),
     Condition(
         "anisotropy",
         "ratio of the two scales at the centre",
-        lambda e, model: decompose(e.left(model)).anisotropy,
+        lambda e, model: decompose(e.left).anisotropy,
         lambda limits, e: (None, limits.anisotropy),
     ),
     Condition(

@@ -40,7 +40,13 @@ SCALE_PX, HELD_OUT_ROUNDS = 0.3, 3
 
 def distinct(reference_xy: FloatArray, secondary_xy: FloatArray) -> int:
     """Number of tie points once those that share a cell of 6 px, in either image, count as one."""
-    return min(len(np.unique(cells(xy, DISTINCT_PX))) for xy in (reference_xy, secondary_xy))
+    return min(_different(cells(xy, DISTINCT_PX)) for xy in (reference_xy, secondary_xy))
+
+
+def _different(numbers: IntArray) -> int:
+    """How many different numbers there are."""
+    ranked = np.sort(numbers)
+    return int(np.count_nonzero(ranked[1:] != ranked[:-1])) + 1 if len(ranked) else 0
 
 
 def log10_chance(
@@ -66,24 +72,26 @@ def log10_chance(
     fundamental matrix", IJCV 57 (2004), DOI 10.1023/B:VISI.0000013094.38752.54. Distinct: matches whose reference and
     secondary points fall on a common 6 px cell count once, because one structure is found on several levels.
     """
-    kept = matches.take(supported & putative)
-    if not len(kept):
+    kept = supported & putative
+    if not kept.any():
         return 0.0
-    n = _moves(matches.take(putative))
-    k = min(_moves(kept), distinct(kept.reference_xy, kept.secondary_xy))
+    here, there = matches.reference_xy[kept], matches.secondary_xy[kept]
+    n = _moves(matches.reference_xy[putative], matches.secondary_xy[putative])
+    k = min(_moves(here, there), distinct(here, there))
     m = model.minimum
     if k <= m:
         return 0.0
-    reach = max(3.0, float(np.percentile(model.residuals(kept.reference_xy, kept.secondary_xy), 95)))
+    reach = max(3.0, float(np.percentile(model.residuals(here, there), 95)))
     p = min(1.0, math.pi * (reach + DISTINCT_PX / 2) ** 2 / (secondary_shape[0] * secondary_shape[1]))
     return math.log10(max(n - m, 1)) + _log10_choose(n, k) + _log10_choose(k, m) + (k - m) * math.log10(p)
 
 
-def _moves(matches: Matches) -> int:
+def _moves(reference_xy: FloatArray, secondary_xy: FloatArray) -> int:
     """Number of distinct (reference cell, secondary cell) pairs."""
-    pairs = np.column_stack([cells(xy, DISTINCT_PX) for xy in (matches.reference_xy, matches.secondary_xy)])
-    order = np.lexsort(pairs.T)
-    return int((np.diff(pairs[order], axis=0) != 0).any(axis=1).sum()) + 1 if len(pairs) else 0
+    here, there = (cells(xy, DISTINCT_PX) for xy in (reference_xy, secondary_xy))
+    order = np.lexsort([here, there])
+    here, there = here[order], there[order]
+    return int(np.count_nonzero((here[1:] != here[:-1]) | (there[1:] != there[:-1]))) + 1 if len(order) else 0
 
 
 def _log10_choose(n: int, k: int) -> float:

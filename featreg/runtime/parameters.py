@@ -170,12 +170,13 @@ def checked(owner: str) -> Callable[[Thing], Thing]:
 
     def decorate(thing: Thing) -> Thing:
         function: Any = thing.__init__ if isinstance(thing, type) else thing  # type: ignore[misc]  # of the class itself
-        signature = inspect.signature(function)
+        names = list(inspect.signature(function).parameters)
 
         @wraps(function)
         def call(*args: Any, **keywords: Any) -> Any:
             known = declared(thing)
-            for name, value in signature.bind(*args, **keywords).arguments.items():
+            # Arguments that do not fit the signature are the function's own to refuse.
+            for name, value in (*zip(names, args, strict=False), *keywords.items()):
                 if name in known:
                     known[name].check(prefix + name, value)
             return function(*args, **keywords)

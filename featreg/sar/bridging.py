@@ -71,8 +71,12 @@ def _gaps(invalid: BoolArray) -> BoolArray:
     holes = cv2.copyMakeBorder(invalid.view(np.uint8), pad, pad, pad, pad, cv2.BORDER_CONSTANT, value=1)
     wide = cv2.morphologyEx(holes, cv2.MORPH_OPEN, np.ones((side, side), np.uint8))
     # What is joined to a wide hole within a gap's width is part of it: its corners, its frayed rim.
+    count = cv2.countNonZero(wide)
     for _ in range(GAP):
         wide = cv2.min(cv2.dilate(wide, np.ones((3, 3), np.uint8)), holes)
+        before, count = count, cv2.countNonZero(wide)
+        if count == before:
+            break
     gaps = invalid & (wide[pad:-pad, pad:-pad] == 0)
     if gaps.any():
         box = (2 * GAP + 1, 2 * GAP + 1)

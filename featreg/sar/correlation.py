@@ -131,18 +131,12 @@ def peaks(correlations: FloatArray) -> Peaks:
 
     The quadratic is the least-squares one through the nine values.
     """
-    n, side, _ = correlations.shape
-    search = side // 2
-    best = correlations.reshape(n, side * side).argmax(axis=1)
-    row, col = best // side, best % side
-    inside = (row > 0) & (row < side - 1) & (col > 0) & (col < side - 1)
-    r, c = np.clip(row, 1, side - 2), np.clip(col, 1, side - 2)
-    i = np.arange(n)
-    nine = np.stack([np.stack([correlations[i, r + v, c + u] for u in (-1, 0, 1)], -1) for v in (-1, 0, 1)], -2)
-    step, curvature, curved = quadratic_steps(nine)
-    sound = inside & curved
-    shift = np.column_stack([col, row]) - search + np.where(sound[:, None], step, 0)
-    return Peaks(shift.astype(np.float64), correlations[i, row, col], curvature, sound)
+    from featreg.sar.correlation_kernels import highest_peaks
+
+    n = len(correlations)
+    found = Peaks(np.empty((n, 2)), np.empty(n), np.empty((n, 2, 2)), np.empty(n, np.bool_))
+    highest_peaks(correlations, found.shift, found.height, found.curvature, found.sound)
+    return found
 
 
 def quadratic_steps(nine: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:

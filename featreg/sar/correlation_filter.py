@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,9 +38,10 @@ class CorrelationFilter:
         """Return a filtered (H, W) map; beyond its rim it is mirrored."""
         import cv2
 
-        total = np.zeros_like(view)
+        total, part = np.zeros_like(view), np.empty_like(view)
         for x, y in zip(self.across, self.down, strict=True):
-            cv2.add(total, cv2.sepFilter2D(view, -1, x, y, borderType=cv2.BORDER_REFLECT_101), total)
+            cv2.sepFilter2D(view, -1, x, y, part, borderType=cv2.BORDER_REFLECT_101)
+            cv2.add(total, part, total)
         return total
 
 
@@ -75,12 +77,8 @@ def correlation_filter(first: F32, second: F32, valid: BoolArray | None = None) 
     here, there = (_spectra(view, corners) for view in (first, second))
     turns = np.hypot(np.fft.fftfreq(SIDE)[:, None], np.fft.rfftfreq(SIDE)[None]) * SIDE
     cross, power, other = (
-        _radial(values, turns)
-        for values in (
-            (here * there.conj()).real.sum(axis=0),
-            (here.real**2 + here.imag**2).sum(axis=0),
-            (there.real**2 + there.imag**2).sum(axis=0),
-        )
+        _radial(np.einsum("ncxy,ncxy->yx", one, two).astype(np.float64), turns)
+        for one, two in ((here, there), (here, here), (there, there))
     )
     cross = np.maximum(cross, 0.0)
     product = np.maximum(power * other, np.finfo(np.float64).tiny)
@@ -107,19 +105,36 @@ def _squares(shape: tuple[int, int], valid: BoolArray | None) -> IntArray:
     corners = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
     if valid is None:
         return corners
-    whole = np.array([valid[y : y + SIDE, x : x + SIDE].all() for x, y in corners.tolist()], np.bool_)
-    return corners[whole]
+    squares = np.lib.stride_tricks.sliding_window_view(valid, (SIDE, SIDE))
+    return corners[squares[corners[:, 1], corners[:, 0]].all(axis=(1, 2))]
 
 
-def _spectra(view: F32, corners: IntArray) -> NDArray[np.complex64]:
-    """(N, SIDE, SIDE / 2 + 1) spectra of squares of unit energy."""
+def _spectra(view: F32, corners: IntArray) -> F32:
+    """(N, 2, SIDE / 2 + 1, SIDE) real and imaginary parts of the spectra, by x and y, of squares of unit energy.
+
+    Of many small squares the transform is quickest as a product of matrices.
+    """
     x, y = (corners[:, k, None] + np.arange(SIDE) for k in (0, 1))
     squares = view[y[:, :, None], x[:, None, :]]
     window = np.hanning(SIDE + 2)[1:-1].astype(np.float32)
     squares = (squares - squares.mean(axis=(1, 2), keepdims=True)) * (window[:, None] * window)
     energy = np.sqrt((squares**2).sum(axis=(1, 2), keepdims=True))
     squares = np.divide(squares, energy, out=np.zeros_like(squares), where=energy > 1e-6)
-    return np.asarray(np.fft.rfft2(squares), np.complex64)
+    along, around = _waves()
+    rows = (squares.reshape(-1, SIDE) @ along).reshape(len(squares), SIDE, -1)
+    both = (rows.swapaxes(1, 2).reshape(-1, SIDE) @ around).reshape(len(squares), 2, -1, 2, SIDE)
+    spectra = np.empty((len(squares), 2, SIDE // 2 + 1, SIDE), np.float32)
+    np.subtract(both[:, 0, :, 0], both[:, 1, :, 1], out=spectra[:, 0])
+    np.add(both[:, 0, :, 1], both[:, 1, :, 0], out=spectra[:, 1])
+    return spectra
+
+
+@lru_cache(maxsize=1)
+def _waves() -> tuple[F32, F32]:
+    """Matrices of a real transform along rows and a complex one along columns, real parts beside imaginary ones."""
+    angle = 2 * np.pi / SIDE * np.arange(SIDE)[:, None] * np.arange(SIDE)
+    waves = np.stack([np.cos(angle), -np.sin(angle)], axis=1).astype(np.float32)
+    return waves[:, :, : SIDE // 2 + 1].reshape(SIDE, -1), waves.reshape(SIDE, -1)
 
 
 def _radial(values: FloatArray, turns: FloatArray) -> FloatArray:

@@ -256,3 +256,53 @@ def correlations_of_few(
                     part, square = columns[p * panel : last], squares[p * panel : last]
                     _column_sums(other, p * size + dy * STRIDE, 1, -one, part, square)
                     _column_sums(other, p * size + (dy + side) * STRIDE, 1, one, part, square)
+
+
+@compiled
+def highest_peaks(
+    values: NDArray[np.float64],
+    shift: NDArray[np.float64],
+    height: NDArray[np.float64],
+    curvature: NDArray[np.float64],
+    sound: NDArray[np.bool_],
+) -> None:
+    """Fill shift (N, 2), height (N,), curvature (N, 2, 2) and sound (N,) of the highest of each of (N, K, K) values.
+
+    The step from the highest is that of `featreg.sar.correlation.quadratic_steps`, in the same order of sums.
+    """
+    side = values.shape[1]
+    for i in range(values.shape[0]):
+        part = values[i]
+        row, col = 0, 0
+        for y in range(side):
+            for x in range(side):
+                if part[y, x] > part[row, col]:
+                    row, col = y, x
+        height[i] = part[row, col]
+        inside = row > 0 and row < side - 1 and col > 0 and col < side - 1
+        r, c = min(max(row, 1), side - 2), min(max(col, 1), side - 2)
+        left = (part[r - 1, c - 1] + part[r, c - 1]) + part[r + 1, c - 1]
+        middle = (part[r - 1, c] + part[r, c]) + part[r + 1, c]
+        right = (part[r - 1, c + 1] + part[r, c + 1]) + part[r + 1, c + 1]
+        gx = (right - left) / 6
+        gy = (
+            part[r + 1, c + 1] + part[r + 1, c] + part[r + 1, c - 1]
+            - part[r - 1, c + 1] - part[r - 1, c] - part[r - 1, c - 1]
+        ) / 6  # fmt: skip
+        hxx = (right + left - 2 * middle) / 3
+        hyy = 0.0
+        for u in range(-1, 2):
+            hyy += part[r + 1, c + u] + part[r - 1, c + u] - 2 * part[r, c + u]
+        hyy /= 3
+        hxy = (part[r + 1, c + 1] + part[r - 1, c - 1] - part[r - 1, c + 1] - part[r + 1, c - 1]) / 4
+        determinant = hxx * hyy - hxy * hxy
+        curved = determinant > 1e-12 and hxx < 0 and hyy < 0
+        dx, dy = 0.0, 0.0
+        if curved:
+            dx, dy = -(hyy * gx - hxy * gy) / determinant, -(hxx * gy - hxy * gx) / determinant
+        good = inside and curved and abs(dx) <= 1 and abs(dy) <= 1
+        sound[i] = good
+        shift[i, 0] = col - side // 2 + (dx if good else 0.0)
+        shift[i, 1] = row - side // 2 + (dy if good else 0.0)
+        curvature[i, 0, 0], curvature[i, 1, 1] = -hxx, -hyy
+        curvature[i, 0, 1] = curvature[i, 1, 0] = -hxy

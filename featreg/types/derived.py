@@ -34,11 +34,14 @@ class DerivedMaps:
         self._lock = threading.Lock()
         self._locks: dict[Any, threading.Lock] = {}
         self._maps: OrderedDict[Any, tuple[Any, int]] = OrderedDict()
+        self._bytes = 0
 
     def get(self, image: Any, function: Callable[..., Any], params: Mapping[str, Any]) -> Any:
         if "<" in function.__qualname__:
             raise TypeError(f"derive needs a module-level function, got {function.__qualname__}")
-        key = (function.__module__, function.__qualname__, tuple(sorted({**_defaults(function), **params}.items())))
+        known = _defaults(function)
+        named = tuple(sorted({**known, **params}.items())) if known or params else ()
+        key = (function.__module__, function.__qualname__, named)
         with self._lock:
             if key in self._maps:
                 self._maps.move_to_end(key)
@@ -56,6 +59,7 @@ class DerivedMaps:
         with self._lock:
             self._maps.clear()
             self._locks.clear()
+            self._bytes = 0
 
     def _keep(self, key: Any, value: Any) -> None:
         parts = value if isinstance(value, tuple) else (value,)
@@ -63,9 +67,12 @@ class DerivedMaps:
         for array in arrays:
             array.flags.writeable = False
         with self._lock:
-            self._maps[key] = (value, sum(a.nbytes for a in arrays))
-            while sum(size for _, size in self._maps.values()) > self._max_bytes and len(self._maps) > 1:
-                gone, _ = self._maps.popitem(last=False)
+            size = sum(a.nbytes for a in arrays)
+            self._maps[key] = (value, size)
+            self._bytes += size
+            while self._bytes > self._max_bytes and len(self._maps) > 1:
+                gone, (_, freed) = self._maps.popitem(last=False)
+                self._bytes -= freed
                 self._locks.pop(gone, None)
 
 

@@ -336,3 +336,19 @@ def test_homography_beats_the_algebraic_minimum() -> None:
     theirs: NDArray[np.float64] = transform.ProjectiveTransform.from_estimate(xy, noisy)(xy)
     ours = fitted(Homography, xy, noisy).residuals(xy, noisy)
     assert (ours**2).sum() <= ((theirs - noisy) ** 2).sum()
+
+
+@pytest.mark.parametrize("thin", [1.0, 0.2, 0.05, 1e-3])
+def test_an_affine_fit_is_the_orthogonal_one(thin: float) -> None:
+    """By normal equations where the points are well spread, by orthogonal steps where they are not."""
+    rng = np.random.default_rng(4)
+    here = rng.uniform(0, 600, (50, 2)) * (1.0, thin) + (3000.0, 1000.0)
+    there = here @ np.array([[1.02, 0.1], [-0.12, 0.97]]) + (7.0, -3.0) + rng.normal(0, 0.3, here.shape)
+    weights = rng.uniform(0.1, 3, 50)
+    found = Affine.from_estimate(here, there, weights)
+    assert found
+    root = np.sqrt(weights)[:, None]
+    centre = here.mean(axis=0)
+    rows = np.column_stack([here - centre, np.ones(50)])
+    wanted = np.linalg.lstsq(root * rows, root * there, rcond=None)[0]
+    np.testing.assert_allclose(found(here), rows @ wanted, atol=1e-8)

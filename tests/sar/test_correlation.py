@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from featreg.errors import ParameterError
-from featreg.sar.correlation import local_correlations, peaks
+from featreg.sar.correlation import local_correlations, peaks, quadratic_steps
 
 Texture = Callable[..., NDArray[np.float32]]
 F32 = NDArray[np.float32]
@@ -144,3 +144,24 @@ def test_a_peak_at_the_edge_of_the_search_or_a_ridge_is_not_sound() -> None:
     y, x = np.mgrid[-3:4, -3:4].astype(np.float64)
     edge, ridge, flat = 0.1 * x - 0.01 * y**2, 0.5 - 0.01 * (x - y) ** 2, np.zeros((7, 7))
     assert not peaks(np.stack([edge, ridge, flat])).sound.any()
+
+
+@pytest.mark.parametrize("side", [3, 5, 7])
+def test_peaks_equal_the_plain_ones(side: int) -> None:
+    """The highest value and the quadratic through its neighbours, for all points at once."""
+    rng = np.random.default_rng(side)
+    values = rng.normal(size=(300, side, side)).round(1 if side == 5 else 15)
+    values[:20] = 0.5
+    best = values.reshape(300, -1).argmax(axis=1)
+    row, col = best // side, best % side
+    inside = (row % (side - 1) > 0) & (col % (side - 1) > 0)
+    r, c = (np.clip(at, 1, side - 2) for at in (row, col))
+    nine = np.stack([part[y - 1 : y + 2, x - 1 : x + 2] for part, y, x in zip(values, r, c, strict=True)])
+    step, curvature, curved = quadratic_steps(nine)
+    sound = inside & curved
+    found = peaks(values)
+    np.testing.assert_array_equal(found.sound, sound)
+    np.testing.assert_array_equal(found.height, values.reshape(300, -1).max(axis=1))
+    np.testing.assert_allclose(found.curvature, curvature, rtol=0, atol=1e-14)
+    wanted = np.column_stack([col, row]) - side // 2 + np.where(sound[:, None], step, 0)
+    np.testing.assert_allclose(found.shift, wanted, rtol=0, atol=1e-10)

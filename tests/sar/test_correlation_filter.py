@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import fourier_shift, gaussian_filter
 
 from featreg.sar.correlation import local_correlations, peaks
-from featreg.sar.correlation_filter import HALF, SIDE, CorrelationFilter, correlation_filter
+from featreg.sar.correlation_filter import HALF, SIDE, CorrelationFilter, _spectra, correlation_filter
 
 F32 = NDArray[np.float32]
 
@@ -111,3 +111,13 @@ def test_nothing_in_common_or_no_room_is_no_filter() -> None:
     assert correlation_filter(first, np.zeros_like(first)) is None
     assert correlation_filter(first[:20], first[:20]) is None
     assert correlation_filter(first, -first) is None
+
+
+def test_spectra_are_those_of_the_fast_transform() -> None:
+    view = np.random.default_rng(3).normal(size=(80, 90)).astype(np.float32)
+    window = np.hanning(SIDE + 2)[1:-1]
+    for corner, found in zip([(0, 0), (58, 48)], _spectra(view, np.array([[0, 0], [58, 48]])), strict=True):
+        square = view[corner[1] :, corner[0] :][:SIDE, :SIDE].astype(np.float64)
+        square = (square - square.mean()) * window[:, None] * window
+        wanted = np.fft.rfft2(square / np.sqrt((square**2).sum()))
+        np.testing.assert_allclose(found[0] + 1j * found[1], wanted.T, atol=1e-5)
