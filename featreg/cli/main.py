@@ -23,24 +23,24 @@ from featreg.cli.completion import asked_words
 from featreg.errors import FeatregError, UnknownNameError, suggest
 from featreg.runtime.progress import close_bars
 
-#: Name -> module in `featreg.cli`, function. Only the one that is asked for is imported.
-COMMANDS: dict[str, tuple[str, str]] = {
-    "match": ("match", "match"),
-    "explain": ("explain", "explain"),
-    "view": ("view", "view"),
-    "compare": ("compare", "compare"),
-    "sweep": ("sweep", "sweep"),
-    "warp": ("warp", "warp"),
-    "offsets": ("offsets", "offsets"),
-    "stack": ("stack", "stack"),
-    "info": ("info", "info"),
-    "export": ("export", "export"),
-    "focus": ("focus", "focus"),
-    "mark": ("mark", "mark"),
-    "list": ("listing", "list_names"),
-    "simulate": ("simulate", "simulate"),
-    "demo": ("demo", "demo"),
-    "doctor": ("doctor", "doctor"),
+#: Name -> module in `featreg.cli`, function, its first sentence. Only the one that is asked for is imported.
+COMMANDS: dict[str, tuple[str, str, str]] = {
+    "match": ("match", "match", "Register one SAR image to another."),
+    "explain": ("explain", "explain", "Say why a result is trusted or not, and what to try."),
+    "view": ("view", "view", "Look at a result in a browser."),
+    "compare": ("compare", "compare", "Print a table of methods on image pairs."),
+    "sweep": ("sweep", "sweep", "Print a table of one method over a grid of parameters."),
+    "warp": ("warp", "warp", "Resample the secondary onto the reference."),
+    "offsets": ("offsets", "offsets", "Measure how far each cell of a grid moved between two images."),
+    "stack": ("stack", "stack", "Register many images of one place to one grid."),
+    "info": ("info", "info", "Say what a file is and what featreg will do with it."),
+    "export": ("export", "export", "Write the tie points for another program."),
+    "focus": ("focus", "focus", "Focus a complex SAR image by autofocus."),
+    "mark": ("mark", "mark", "Mark homologous points of two images in a local web page."),
+    "list": ("listing", "list_names", "List methods and parts, or show what one of them takes."),
+    "simulate": ("simulate", "simulate", "Simulate SAR images with exactly known truth."),
+    "demo": ("demo", "demo", "Try everything on a simulated pair."),
+    "doctor": ("doctor", "doctor", "Show what this installation is made of."),
 }
 HELP = "Register SAR images: tie points, a geometric model and a verdict on whether to trust it."
 
@@ -60,7 +60,7 @@ root.__doc__ = HELP
 
 
 def application(arguments: Sequence[str]) -> typer.Typer:
-    """The command line as far as these arguments need it: all commands, or the one that they name."""
+    """The command line as far as these arguments need it: the one command that they name, or a list of all."""
     app = typer.Typer(
         help=HELP,
         rich_markup_mode=None,
@@ -68,10 +68,17 @@ def application(arguments: Sequence[str]) -> typer.Typer:
     )
     app.callback(invoke_without_command=True)(root)
     named = _command(arguments)
-    for name in (named,) if named in COMMANDS else COMMANDS:
-        module, function = COMMANDS[name]
-        app.command(name)(_interruptible(getattr(importlib.import_module(f"featreg.cli.{module}"), function)))
+    if named in COMMANDS:
+        module, function, _ = COMMANDS[named]
+        app.command(named)(_interruptible(getattr(importlib.import_module(f"featreg.cli.{module}"), function)))
+    else:
+        for name, (_, _, sentence) in COMMANDS.items():
+            app.command(name, help=sentence)(_not_called)
     return app
+
+
+def _not_called() -> None:
+    """Stand for a command where all are listed and none is run."""
 
 
 class _StoppedError(Exception):

@@ -113,10 +113,7 @@ def _beyond_chance(same: BoolArray, a: F32, b: F32) -> BoolArray:
 
 def _drawn(reference: Image, secondary: Image) -> BoolArray:
     """(H, W) pixels of the same bright or dark drawing on both images, which compression has made differ a little."""
-    import cv2
-
-    mask, box = reference.mask & secondary.mask, (2 * AROUND + 1, 2 * AROUND + 1)
-    first, second = (np.where(mask, np.abs(image.pixels), 0) for image in (reference, secondary))
+    mask, first, second = reference.mask & secondary.mask, reference.amplitude, secondary.amplitude
     found = np.zeros_like(mask)
     valid = np.flatnonzero(mask.ravel())
     if not len(valid):
@@ -125,7 +122,8 @@ def _drawn(reference: Image, secondary: Image) -> BoolArray:
     some = valid[np.random.default_rng(0).integers(0, len(valid), SAMPLES)]
     levels = np.array([np.percentile(view.ravel()[some], (50, 90)) for view in (first, second)])
     dark, bright = np.float32(DRAWN_DARK * levels[:, 0].min()), levels[:, 1].max()
-    less, more = np.minimum(first, second), np.maximum(first, second)
+    # Invalid pixels hold 0 in their own image only.
+    less, more = np.minimum(first, second), np.maximum(first, second) * mask
     top = float(more.max())
     grey, white = (np.float32(max(bright, share * top)) for share in (DRAWN_GREY, DRAWN_BRIGHT))
     for both, either in (
@@ -135,12 +133,20 @@ def _drawn(reference: Image, secondary: Image) -> BoolArray:
     ):
         if np.count_nonzero(both) < LEAST:
             continue
-        shared, all_of_it = (
-            cv2.boxFilter(which.astype(np.float32), -1, box, normalize=False, borderType=cv2.BORDER_CONSTANT)
-            for which in (both, either)
-        )
-        found |= both & (shared >= STROKE) & (shared >= OVERLAP * all_of_it)
+        shared = _count_around(both)
+        strokes = both & (shared >= STROKE)
+        if strokes.any():
+            found |= strokes & (shared >= np.float32(OVERLAP) * _count_around(either))
     return found if np.count_nonzero(found) <= MOST_DRAWN * found.size else np.zeros_like(found)
+
+
+def _count_around(which: BoolArray) -> NDArray[np.uint8]:
+    """(H, W) how many pixels of a mask lie in the square of 15 px around each."""
+    import cv2
+
+    box = (2 * AROUND + 1, 2 * AROUND + 1)
+    count = cv2.boxFilter(which.view(np.uint8), -1, box, normalize=False, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(count, np.uint8)
 
 
 def _likeness(reference: Image, secondary: Image, same: BoolArray) -> float:

@@ -315,6 +315,7 @@ def test_version_and_help(run: Run) -> None:
         code, out, _ = run(name, "--help")
         assert code == 0
         assert out.startswith(f"Usage: featreg {name}")
+        assert cli.COMMANDS[name][2] in " ".join(out.split())
     summaries = run("--help")[1].partition("Commands:")[2]
     assert "..." not in summaries, "a summary that does not fit"
 
