@@ -270,10 +270,11 @@ class Affine(GeneralMatrixModel):
         solution = _well_spread(n)
         if solution is None:
             root = np.sqrt(n.weights)[:, None]
-            solution, _, _, singular = np.linalg.lstsq(root * n.reference, root * n.secondary, rcond=None)
+            found, _, _, singular = np.linalg.lstsq(root * n.reference, root * n.secondary, rcond=None)
             if singular[1] < FLAT * singular[0]:
                 spreads = singular[1] / singular[0]
                 return FailedFit(f"the {len(root)} reference points lie on a line: spreads in the ratio {spreads:.3g}")
+            solution = np.asarray(found, np.float64)
         flatness = decompose(solution).anisotropy
         if not flatness < 1 / FLAT:
             return FailedFit(f"the fit maps the plane onto a line: singular values in the ratio {1 / flatness:.3g}")
