@@ -1,9 +1,11 @@
-"""Everything about the package stands in pyproject.toml; here only that its kernels are translated while it is built.
+"""Everything about the package stands in pyproject.toml; here its kernels are translated while it is built, and its
+README becomes the text of an index page.
 
 FEATREG_KERNELS=numba leaves that out, as it does where the package runs.
 """
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -27,4 +29,15 @@ class BuildWithKernels(build_py):
             self.warn("the kernels could not be translated, the first calls will compile them")
 
 
-setup(cmdclass={"build_py": BuildWithKernels})
+def index_text(readme: str) -> str:
+    """The README without what leads to files beside it: a page of a package index has none, and no picture of ours."""
+    without = re.sub(r"^!\[[^\]]*\]\((?!https?:)[^)]*\)\n\n?", "", readme, flags=re.M)
+    return re.sub(r"\[([^\]]+)\]\((?!https?:|#)[^)]*\)", r"\1", without)
+
+
+if __name__ == "__main__":
+    setup(
+        cmdclass={"build_py": BuildWithKernels},
+        long_description=index_text((Path(__file__).parent / "README.md").read_text(encoding="utf-8")),
+        long_description_content_type="text/markdown",
+    )

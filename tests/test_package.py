@@ -8,6 +8,7 @@ import importlib.util
 import inspect
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -17,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 import featreg
 
@@ -109,11 +111,21 @@ def test_import_loads_no_heavy_library() -> None:
 
 
 def test_the_version_stands_in_one_place() -> None:
-    assert PROJECT["project"]["dynamic"] == ["version"]
+    assert "version" in PROJECT["project"]["dynamic"]
     assert PROJECT["tool"]["setuptools"]["dynamic"]["version"] == {"attr": "featreg._version.__version__"}
     literal = f'"{featreg.__version__}"'
     places = [p.relative_to(ROOT).as_posix() for p in sources() if literal in p.read_text(encoding="utf-8")]
     assert places == ["featreg/_version.py"]
+
+
+def test_the_citation_names_the_version_the_licence_and_the_authors() -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert citation["cff-version"] == "1.2.0"
+    assert citation["version"] == featreg.__version__
+    assert citation["license"] == PROJECT["project"]["license"]
+    (author,) = citation["authors"]
+    assert author["name"] in (ROOT / "LICENSE").read_text(encoding="utf-8")
+    assert citation["keywords"] == PROJECT["project"]["keywords"]
 
 
 def test_the_changelog_knows_the_version() -> None:
@@ -133,7 +145,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     Without translated kernels, which take half a minute: `tests/runtime/test_preparing.py` makes some.
     """
     tree, out = tmp_path_factory.mktemp("tree"), tmp_path_factory.mktemp("dist")
-    for name in ("pyproject.toml", "setup.py", PROJECT["project"]["readme"], *PROJECT["project"]["license-files"]):
+    for name in ("pyproject.toml", "setup.py", "README.md", *PROJECT["project"]["license-files"]):
         shutil.copy(ROOT / name, tree / name)
     for name in {folder.split("/")[0] for folder in FOLDERS.values()} | {"tests", "benchmarks"}:
         shutil.copytree(ROOT / name, tree / name, ignore=shutil.ignore_patterns("__pycache__", "*.bc"))
@@ -155,6 +167,11 @@ def test_the_wheel_holds_the_tree_and_nothing_else(wheel: Path) -> None:
     assert held == wanted
     assert said["Version"] == featreg.__version__
     assert said["License-Expression"] == "MIT"
+    text = said.get_payload()
+    assert said["Description-Content-Type"] == "text/markdown"
+    assert isinstance(text, str)
+    assert "Two SAR images go in" in text
+    assert re.findall(r"\]\((?!https?:)[^)]*\)", text) == []  # nothing beside it on a page of an index
 
 
 @pytest.mark.slow

@@ -1,0 +1,449 @@
+"""Conformance of a plugin: what ours are held to, for the tests of somebody else's package."""
+
+from __future__ import annotations
+
+import inspect
+import pickle
+import re
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from featreg import registry
+from featreg.errors import FeatregError, ParameterError, PluginError
+from featreg.geometry import Affine
+from featreg.interfaces import FilterContext
+from featreg.io import as_image
+from featreg.simulate import sar_pair
+from featreg.types import Features, FloatArray, Image, Matches
+
+#: (2, 3) map of the tie points that filters are given, and the size of their images.
+MATRIX, SHAPE = np.array([[1.01, 0.03, 5.0], [-0.03, 1.0, -4.0]]), (400, 400)
+#: Px between points that count as the same.
+NEAR = 1.0
+
+
+class Plugin(NamedTuple):
+    """What is under test: how to make it, and one that was made."""
+
+    entry: registry.Entry
+    make: Callable[..., Any]
+    made: Any
+
+
+Check = Callable[[Plugin], Iterator[str]]
+
+
+def check_plugin(kind: str, name: str, *, symmetric: bool = True, **parameters: Any) -> tuple[str, ...]:
+    """Hold a registered plugin to what featreg's own are held to, on simulated images.
+
+    Parameters
+    ----------
+    kind : "detector", "descriptor", "nearest", "filter" or "matcher"
+    name : under which it is registered
+    symmetric : False leaves out that mirrored and shifted images have mirrored and shifted points, which networks with
+        trained weights cannot promise
+    parameters : with which it is made
+
+    Returns
+    -------
+    The names of the checks, all of which it passed
+
+    Raises
+    ------
+    PluginError
+        It fails; the text names every check that it failed, and how.
+    UnknownNameError, PluginUnavailableError, ParameterError
+        There is no such plugin, it cannot be used here, or not with these parameters.
+
+    Examples
+    --------
+    >>> check_plugin("filter", "fsc")[0]
+    'parameters'
+    """
+    entry = registry.entry(kind, name)
+
+    def make(**more: Any) -> Any:
+        return registry.create(kind, name, **{**parameters, **more})  # type: ignore[call-overload]
+
+    plugin = Plugin(entry, make, make())
+    checks = {**EVERY, **OF_KIND.get(kind, {})}
+    if not symmetric:
+        checks = {key: check for key, check in checks.items() if key not in SYMMETRY}
+    failed = []
+    for key, check in checks.items():
+        try:
+            failed += [f"{key}: {complaint}" for complaint in check(plugin)]
+        except Exception as error:
+            failed.append(f"{key}: it raised {type(error).__name__}: {error}")
+    if failed:
+        raise PluginError(f"{kind} '{name}' fails {len(failed)} checks: " + "; ".join(failed))
+    return tuple(checks)
+
+
+# What it is given
+
+
+@cache
+def _amplitude(height: int, width: int) -> NDArray[np.float32]:
+    """(height, width) of a simulated image of four looks, the same landscape for every size."""
+    return sar_pair((260, 260), seed=3).reference[:height, :width]
+
+
+def _keypoints(shape: tuple[int, int], count: int = 40) -> Features:
+    rng = np.random.default_rng(0)
+    xy = np.column_stack([rng.uniform(45, shape[1] - 45, count), rng.uniform(45, shape[0] - 45, count)])
+    return Features(xy, np.full(count, 8.0), rng.uniform(0, 6, count), np.ones(count), np.zeros(count, np.int64))
+
+
+def _described(descriptors: NDArray[Any]) -> Features:
+    count = len(descriptors)
+    norm = "hamming" if descriptors.dtype == np.uint8 else "l2"
+    xy = np.random.default_rng(2).uniform(0, 100, (count, 2))
+    return Features(xy, np.ones(count), np.zeros(count), np.ones(count), np.zeros(count, np.int64), descriptors, norm)
+
+
+def _tie_points(good: int, bad: int) -> tuple[Matches, NDArray[np.bool_]]:
+    rng = np.random.default_rng(0)
+    here = rng.uniform(60, 340, (good + bad, 2))
+    there = here @ MATRIX[:, :2].T + MATRIX[:, 2] + rng.normal(0, 0.3, here.shape)
+    there[good:] = rng.uniform(0, 399, (bad, 2))
+    right = np.arange(good + bad) < good
+    score = np.where(right, rng.uniform(0.3, 1, good + bad), rng.uniform(0, 0.7, good + bad))
+    order = rng.permutation(good + bad)
+    return Matches(here[order], there[order], score[order]), right[order]
+
+
+def _context() -> FilterContext:
+    return FilterContext(SHAPE, SHAPE, Affine, np.random.default_rng(0))
+
+
+def _empty(shape: tuple[int, int] = (80, 90)) -> Iterator[tuple[str, Image]]:
+    whole = np.ones(shape, np.bool_)
+    yield "a constant image", Image(np.full(shape, 3, np.float32), whole)
+    yield "an image of zeros", Image(np.zeros(shape, np.float32), whole)
+    yield "an image without data", Image(np.zeros(shape, np.float32), ~whole)
+
+
+def _work(kind: str, plugin: Any) -> Any:
+    """One run of any plugin on fixed input."""
+    if kind == "detector":
+        return plugin.detect_features(as_image(_amplitude(150, 160)))
+    if kind == "descriptor":
+        return plugin.describe_features(as_image(_amplitude(150, 160)), _keypoints((150, 160)))
+    if kind == "nearest":
+        rng = np.random.default_rng(0)
+        return plugin.match_features(*(_described(rng.integers(0, 256, (n, 32)).astype(np.uint8)) for n in (90, 80)))
+    if kind == "filter":
+        return plugin.keep(_tie_points(300, 200)[0], _context())
+    pair = _pair()
+    return plugin.match(as_image(pair.reference), as_image(pair.secondary))
+
+
+@cache
+def _pair() -> Any:
+    return sar_pair((260, 260), looks=8, rotation_deg=0.0, scale=1.0, shift=(3.0, -2.0), change=0.0, seed=1)
+
+
+def _same(a: Any, b: Any) -> bool:
+    """Equal to the last bit."""
+    if isinstance(a, tuple):
+        return len(a) == len(b) and all(_same(x, y) for x, y in zip(a, b, strict=True))
+    if isinstance(a, Features | Matches):
+        return all(_same(getattr(a, field), getattr(b, field)) for field in a.__dataclass_fields__)
+    return bool(np.array_equal(a, b, equal_nan=a.dtype.kind == "f")) if isinstance(a, np.ndarray) else bool(a == b)
+
+
+def _apart(xy: FloatArray, others: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
+    """Distance of each point to the nearest of the others, and which that is; inf where there is none."""
+    from scipy.spatial import cKDTree
+
+    if not len(others):
+        return np.full(len(xy), np.inf), np.zeros(len(xy), np.int64)
+    distance, nearest = cKDTree(others).query(xy)
+    return np.asarray(distance), np.asarray(nearest, np.int64)
+
+
+# Of every kind
+
+
+def _parameters(plugin: Plugin) -> Iterator[str]:
+    fresh = plugin.entry.factory()
+    for key, default in plugin.entry.parameters.items():
+        if getattr(fresh, key, None) != default:
+            yield f"parameter '{key}' is not kept under its own name"
+        if isinstance(default, int | float) and not isinstance(default, bool):
+            try:
+                plugin.make(**{key: "many"})
+            except ParameterError:
+                continue
+            yield f"parameter '{key}' takes 'many' for a number: annotate it"
+
+
+def _documented(plugin: Plugin) -> Iterator[str]:
+    if inspect.isclass(plugin.entry.factory):
+        lines = re.findall(r"^([a-z_0-9, ]+) : ", inspect.getdoc(plugin.entry.factory) or "", re.M)
+        said = {name.strip() for line in lines for name in line.split(",")}
+        if missing := set(plugin.entry.parameters) - said:
+            yield f"its docstring does not say what {', '.join(sorted(missing))} mean: 'name : meaning' a line"
+    if not plugin.entry.summary:
+        yield "its docstring has no first line"
+
+
+def _repeatable(plugin: Plugin) -> Iterator[str]:
+    kind, first = plugin.entry.kind, _work(plugin.entry.kind, plugin.made)
+    if not _same(first, _work(kind, plugin.made)):
+        yield "a second run gives another result"
+    if not _same(first, _work(kind, plugin.make())):
+        yield "a second instance gives another result"
+    with ThreadPoolExecutor(2) as pool:
+        both = [future.result() for future in [pool.submit(_work, kind, plugin.made) for _ in range(2)]]
+    if not all(_same(first, one) for one in both):
+        yield "two threads at a time give another result"
+
+
+def _pickled(plugin: Plugin) -> Iterator[str]:
+    again = pickle.loads(pickle.dumps(plugin.made))
+    before = dict(vars(again))
+    if not _same(_work(plugin.entry.kind, again), _work(plugin.entry.kind, plugin.made)):
+        yield "a pickled copy gives another result"
+    if vars(again).keys() != before.keys() or any(vars(again)[key] is not value for key, value in before.items()):
+        yield "it keeps results on itself"
+
+
+# Detectors
+
+
+def _best_first(plugin: Plugin) -> Iterator[str]:
+    found = plugin.made.detect_features(as_image(_amplitude(180, 190)))
+    if not len(found):
+        yield "it finds nothing on an image of fields, buildings and speckle"
+        return
+    if not ((found.xy >= 0) & (found.xy <= [189, 179])).all():
+        yield "points lie outside the image"
+    if not (np.diff(found.score) <= 0).all():
+        yield "points are not in the order of their score, best first"
+    if not (found.scale > 0).all():
+        yield "the radius of a point's support, scale, is not positive"
+    if "n_features" in plugin.entry.parameters:
+        few = plugin.make(n_features=5).detect_features(as_image(_amplitude(180, 190)))
+        if not 0 < len(few) <= 5:
+            yield f"n_features=5 gives {len(few)} points"
+
+
+def _all_points(plugin: Plugin, image: Image) -> Features:
+    most = {"n_features": 100_000} if "n_features" in plugin.entry.parameters else {}
+    found: Features = plugin.make(**most).detect_features(image)
+    return found
+
+
+def _mirrored(plugin: Plugin) -> Iterator[str]:
+    # Odd, so that every third pixel mirrors onto every third.
+    whole, mirrored = (_all_points(plugin, as_image(a)) for a in (_amplitude(181, 181), _amplitude(181, 181)[:, ::-1]))
+    there = mirrored.xy * [-1, 1] + [180, 0]
+    distance, partner = _apart(whole.xy, there)
+    near = distance < 1.5 * NEAR  # half a pixel of slip shows twice
+    if not near.mean() > 0.8:
+        yield f"the mirror image has {100 * near.mean():.0f} % of the mirrored points, 80 % are expected"
+        return
+    x, y = (there[partner] - whole.xy)[near].mean(axis=0)
+    if max(abs(x), abs(y)) > 0.05:
+        yield f"points of the mirror image are off by ({x:+.2f}, {y:+.2f}) px: is the centre of the first pixel (0, 0)?"
+
+
+def _shifted(plugin: Plugin) -> Iterator[str]:
+    a = _amplitude(220, 220)
+    first, second = (_all_points(plugin, as_image(part)) for part in (a[:190, :190], a[12:202, 20:210]))
+    inner = first.xy[((first.xy > [60, 52]) & (first.xy < 150)).all(axis=1)]
+    again = (_apart(inner - [20, 12], second.xy)[0] < NEAR).mean() if len(inner) else 1.0
+    if not again > 0.6:
+        yield f"a view moved by (20, 12) px has {100 * again:.0f} % of the points again, 60 % are expected"
+
+
+def _same_under_gain(plugin: Plugin) -> Iterator[str]:
+    one, other = (_all_points(plugin, as_image(_amplitude(180, 190) * np.float32(gain))) for gain in (1, 1000))
+    if not (_apart(one.xy, other.xy)[0] < 0.1).mean() > 0.97:
+        yield "an image 1000 times as bright has other points"
+
+
+def _nodata(plugin: Plugin) -> Iterator[str]:
+    amplitude = _amplitude(220, 230)
+    mask = np.ones(amplitude.shape, np.bool_)
+    mask[90:110, 100:130] = False
+    mask[:, :40] = False
+    found = _all_points(plugin, as_image(amplitude, mask=mask))
+    distance, _ = _apart(found.xy, np.argwhere(~mask)[:, ::-1].astype(np.float64))
+    if not (distance >= found.scale - 1.0).all():
+        yield "the support (scale) of points reaches over pixels without data"
+    if not _same(found.xy, _all_points(plugin, as_image(np.where(mask, amplitude, 77.0), mask=mask)).xy):
+        yield "what lies under the mask changes the points"
+
+
+def _nothing_to_detect(plugin: Plugin) -> Iterator[str]:
+    for what, image in _empty():
+        if plugin.made.detect_features(image).xy.shape != (0, 2):
+            yield f"{what} has points"
+    for shape in ((16, 16), (16, 300), (33, 20)):
+        noise = np.random.default_rng(0).gamma(4, 0.25, shape)
+        xy = plugin.made.detect_features(as_image(noise)).xy
+        if not ((xy >= 0) & (xy <= np.array(shape[::-1]) - 1)).all():
+            yield f"points lie outside an image of {shape[0]} x {shape[1]}"
+
+
+# Descriptors
+
+
+def _found_again(plugin: Plugin) -> Iterator[str]:
+    amplitude, points = _amplitude(240, 240), _keypoints((200, 200), 60)
+    moved = Features(points.xy + np.array([20.0, 12.0]), points.scale, points.angle, points.score, points.level)
+    a = plugin.made.describe_features(as_image(amplitude[12:212, 20:220]), points)
+    b = plugin.made.describe_features(as_image(amplitude), moved)
+    pairs, _ = registry.create("nearest", "brute-force").match_features(a, b)
+    right = np.hypot(*(a.xy[pairs[:, 0]] + [20, 12] - b.xy[pairs[:, 1]]).T) < 0.1
+    if not (len(pairs) > 25 and right.mean() > 0.9):
+        yield f"of 60 points in a view moved by (20, 12) px {int(right.sum())} of {len(pairs)} matches are right"
+
+
+def _descriptors_under_gain(plugin: Plugin) -> Iterator[str]:
+    points = _keypoints((180, 190))
+    a, b = (plugin.made.describe_features(as_image(_amplitude(180, 190) * np.float32(g)), points) for g in (1, 1000))
+    if a.descriptors is None or len(a) != len(b):
+        yield "an image 1000 times as bright has other points described"
+    elif a.norm == "hamming":
+        if not (np.unpackbits(a.descriptors, axis=1) == np.unpackbits(b.descriptors, axis=1)).mean() > 0.97:
+            yield "an image 1000 times as bright has other descriptors"
+    elif np.median(np.linalg.norm(a.descriptors - b.descriptors, axis=1)) > 0.1 * np.median(
+        np.linalg.norm(a.descriptors, axis=1)
+    ):
+        yield "an image 1000 times as bright has other descriptors"
+
+
+def _index(plugin: Plugin) -> Iterator[str]:
+    rng = np.random.default_rng(0)
+    xy = rng.uniform(-5, 200, (80, 2))
+    everywhere = Features(xy, np.full(80, 8.0), np.zeros(80), np.arange(80.0), np.zeros(80, np.int64))
+    found = plugin.made.describe_features(as_image(_amplitude(180, 190)), everywhere)
+    if found.index is None and len(found) != 80:
+        yield "points were left out, and `index` does not say which were kept"
+    elif found.index is not None and not np.allclose(found.xy, xy[found.index], atol=1e-4):
+        yield "`index` does not name the points that were kept"
+
+
+def _nothing_to_describe(plugin: Plugin) -> Iterator[str]:
+    none = plugin.made.describe_features(as_image(_amplitude(180, 190)), Features.empty())
+    if len(none) or (none.descriptors is not None and len(none.descriptors)):
+        yield "no points have descriptors"
+    point = Features(np.full((1, 2), 8.0), np.ones(1), np.zeros(1), np.ones(1), np.zeros(1, np.int64))
+    for shape in ((80, 90), (16, 16)):
+        for what, image in _empty(shape):
+            found = plugin.made.describe_features(image, point)
+            if found.descriptors is not None and not np.isfinite(np.asarray(found.descriptors, np.float64)).all():
+                yield f"{what} has descriptors that are not finite"
+
+
+# Nearest
+
+
+def _finds_itself(plugin: Plugin) -> Iterator[str]:
+    order = np.random.default_rng(1).permutation(60)
+    for dtype in (np.uint8, np.float32):
+        values = np.random.default_rng(0).integers(0, 256, (60, 32)).astype(dtype)
+        pairs, score = plugin.made.match_features(_described(values), _described(values[order]))
+        if len(pairs) == 0 or not (order[pairs[:, 1]] == pairs[:, 0]).all():
+            yield f"descriptors of {np.dtype(dtype).name} do not find themselves"
+        if score.shape != (len(pairs),) or not np.isfinite(score).all():
+            yield "the score must be one finite number a pair"
+
+
+def _no_descriptors(plugin: Plugin) -> Iterator[str]:
+    for n, m in ((0, 5), (5, 0), (0, 0)):
+        pairs, score = plugin.made.match_features(*(_described(np.zeros((k, 32), np.uint8)) for k in (n, m)))
+        if (pairs.shape, score.shape) != ((0, 2), (0,)):
+            yield f"{n} and {m} descriptors give pairs of shape {pairs.shape}, not (0, 2)"
+    try:
+        plugin.made.match_features(_described(np.zeros((3, 32), np.uint8)), _described(np.zeros((3, 32), np.float32)))
+    except FeatregError:
+        return
+    yield "descriptors of two kinds must be refused with a FeatregError"
+
+
+# Filters
+
+
+def _keeps_a_warp(plugin: Plugin) -> Iterator[str]:
+    matches, good = _tie_points(1500, 500)
+    kept = plugin.made.keep(matches, _context())
+    if kept.dtype != np.bool_ or kept.shape != (len(matches),):
+        yield f"it must give one bool a match, got {kept.dtype} of shape {kept.shape}"
+        return
+    if not kept[good].mean() > 0.8:
+        yield f"it keeps {100 * kept[good].mean():.0f} % of what an affine map explains, 80 % are expected"
+    if not kept[~good].mean() < 0.05:
+        yield f"it keeps {100 * kept[~good].mean():.0f} % of what is placed at random, at most 5 % are expected"
+
+
+def _few_matches(plugin: Plugin) -> Iterator[str]:
+    for count in (0, 1, 2, 3, 5):
+        shape = plugin.made.keep(_tie_points(300, 200)[0].take(np.arange(count)), _context()).shape
+        if shape != (count,):
+            yield f"{count} matches give a mask of shape {shape}"
+    xy = np.full((50, 2), 100.0)
+    if plugin.made.keep(Matches(xy, xy, np.ones(50)), _context()).shape != (50,):
+        yield "50 matches at one place do not give 50 bools"
+
+
+# Matchers
+
+
+def _inside_and_right(plugin: Plugin) -> Iterator[str]:
+    pair = _pair()
+    found = plugin.made.match(as_image(pair.reference), as_image(pair.secondary))
+    if not len(found):
+        yield "it finds nothing between two dates moved by (3, -2) px"
+        return
+    for xy in (found.reference_xy, found.secondary_xy):
+        if not ((xy >= -0.5) & (xy <= 259.5)).all():
+            yield "tie points lie outside the image"
+    error = np.hypot(*(found.secondary_xy - found.reference_xy @ pair.truth[:, :2].T - pair.truth[:, 2]).T)
+    if not (error < 2).mean() > 0.3:
+        yield f"{100 * (error < 2).mean():.0f} % of its tie points are within 2 px of the truth, 30 % are expected"
+
+
+def _nothing_to_match(plugin: Plugin) -> Iterator[str]:
+    for what, image in _empty((120, 120)):
+        found = plugin.made.match(image, image)
+        if found.reference_xy.shape[1:] != (2,):
+            yield f"{what} gives tie points of shape {found.reference_xy.shape}"
+
+
+EVERY: Mapping[str, Check] = {
+    "parameters": _parameters,
+    "docstring": _documented,
+    "same bits again": _repeatable,
+    "pickled": _pickled,
+}
+#: Checks that a network with trained weights need not pass.
+SYMMETRY = ("mirror image", "shifted view")
+OF_KIND: Mapping[str, Mapping[str, Check]] = {
+    "detector": {
+        "points": _best_first,
+        "mirror image": _mirrored,
+        "shifted view": _shifted,
+        "gain": _same_under_gain,
+        "nodata": _nodata,
+        "nothing there": _nothing_to_detect,
+    },
+    "descriptor": {
+        "found again": _found_again,
+        "gain": _descriptors_under_gain,
+        "index": _index,
+        "nothing there": _nothing_to_describe,
+    },
+    "nearest": {"finds itself": _finds_itself, "nothing there": _no_descriptors},
+    "filter": {"known warp": _keeps_a_warp, "few matches": _few_matches},
+    "matcher": {"known shift": _inside_and_right, "nothing there": _nothing_to_match},
+}
