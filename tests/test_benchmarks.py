@@ -1,0 +1,118 @@
+"""The parts of the benchmarks that decide what is called right: truths, errors, counts, and the page of figures."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from featreg.geometry import Affine
+from featreg.interfaces import FailedFit
+
+HERE = Path(__file__).parents[1] / "benchmarks"
+
+
+@pytest.fixture(autouse=True)
+def benchmarks(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Benchmarks are scripts: their folder is on the path for as long as a test runs."""
+    before = set(sys.modules)
+    monkeypatch.syspath_prepend(str(HERE))
+    yield
+    for name in set(sys.modules) - before:
+        if str(getattr(sys.modules[name], "__file__", "")).startswith(str(HERE)):
+            del sys.modules[name]
+
+
+def landscape(side: int, seed: int) -> Any:
+    """(side, side) 8-bit, nowhere black."""
+    field = cv2.GaussianBlur(np.random.default_rng(seed).normal(size=(side, side)), (0, 0), 3)
+    return (60 + 180 * (field - field.min()) / np.ptp(field)).astype(np.uint8)
+
+
+@pytest.mark.parametrize("turn", [3.0, 21.4, 45.0, 68.2, 86.0])
+def test_the_outline_tells_the_turn_of_a_square(turn: float) -> None:
+    from outline import outline_of, turned_about_centres
+
+    image = landscape(400, 1)
+    matrix = turned_about_centres((400, 400), 256, turn)
+    turned: Any = cv2.warpAffine(image, matrix, (256, 256))
+    found = outline_of(turned)
+    assert found.clear
+    assert abs(found.turn_deg - turn) < 0.5
+    centre = cv2.transform(np.array([[[199.5, 199.5]]]), matrix)[0, 0]
+    np.testing.assert_allclose(centre, [127.5, 127.5])
+    # Counter-clockwise as seen: what lies to the right goes up.
+    right = cv2.transform(np.array([[[299.5, 199.5]]]), matrix)[0, 0] - centre
+    assert np.degrees(np.arctan2(-right[1], right[0])) == pytest.approx(turn)
+
+
+def test_corners_of_another_form_are_no_truth() -> None:
+    from outline import outline_of
+
+    image = landscape(256, 2)
+    image[:, :60] = 0
+    assert not outline_of(image).clear
+    upright = outline_of(landscape(256, 3))
+    assert upright.clear
+    assert min(upright.turn_deg, 90 - upright.turn_deg) < 0.5
+
+
+def test_the_error_is_that_of_the_model_where_both_images_show_the_ground() -> None:
+    from pair_protocol import KnownPair, grid_error
+
+    truth = np.array([[1.0, 0.0, 50.0], [0.0, 1.0, 0.0]])
+    pair = KnownPair("a", "a", np.zeros((100, 100)), np.zeros((100, 100)), truth)
+    assert grid_error(Affine(truth), pair) == pytest.approx(0.0)
+    assert grid_error(Affine(truth + np.array([[0, 0, 3.0], [0, 0, 4.0]])), pair) == pytest.approx(5.0)
+    # Wrong by the stretch in x alone, over that half of the reference whose truth lies inside.
+    stretched = Affine(truth + np.array([[0.1, 0, 0], [0, 0, 0]]))
+    x = np.linspace(0.03, 0.97, 15) * 99
+    assert grid_error(stretched, pair) == pytest.approx(np.sqrt(np.mean((0.1 * x[x <= 49]) ** 2)))
+    assert np.isnan(grid_error(FailedFit("none"), pair))
+
+
+def test_refusals_and_failures_are_not_within_and_only_trusted_errors_are_wrong() -> None:
+    from pair_protocol import COLUMNS, Answer, row
+
+    said = [("ok", 0.5), ("ok", 2.0), ("ok", 7.0), ("unreliable", 0.2), ("failed", float("nan"))]
+    own = [Answer(f"p{i}", f"p{i}", "m", status, error, 2.0, "") for i, (status, error) in enumerate(said)]
+    orb = [Answer(f"p{i}", f"p{i}", "orb", "ok", 0.1, 0.5, "") for i in range(5)]
+    line = dict(zip(COLUMNS, row("m", own, [*own, *orb], 5.0), strict=True))
+    assert (line["pairs"], line["trusted"], line["wrong"]) == (5, 3, 1)
+    assert [float(str(line[f"within {t} px"]).split()[0]) for t in (1, 3, 5, 10)] == [0.2, 0.4, 0.4, 0.6]
+    assert (line["grid px"], line["CPU s"], line["x orb"]) == (1.25, 2.0, 4.0)
+    low, high = map(float, re.findall(r"[\d.]+", str(line["within 10 px"]))[1:])
+    assert 0 <= low < 0.6 < high <= 1
+
+
+def test_pairs_of_a_set_are_spread_and_their_warps_are_their_own() -> None:
+    from pair_protocol import spread
+    from sar_sar import known_pairs
+
+    assert spread(list(range(10)), 4) == [0, 3, 6, 9]
+    scenes = [(name, name, landscape(120, k), landscape(120, k)) for k, name in enumerate("ab")]
+    both, one = list(known_pairs(scenes, 5, 180, 0.1, 10)), list(known_pairs(scenes[:1], 5, 180, 0.1, 10))
+    np.testing.assert_array_equal(both[0].truth, one[0].truth)
+    assert not np.array_equal(both[0].truth, both[1].truth)
+    assert both[0].secondary_mask is not None
+    assert (both[0].secondary[~both[0].secondary_mask] < 255).all()
+
+
+def test_the_page_holds_its_pictures_and_needs_nothing_from_elsewhere(tmp_path: Path) -> None:
+    from figures.page import Figure, axes, show, write_page
+
+    drawn, places = axes(1, 2, (4, 2))
+    show(places[0, 0], np.eye(16), "an <image>")
+    figure = Figure.of("Figure 1", "A & B", "what is drawn", "how it compares", drawn)
+    assert figure.png.startswith(b"\x89PNG")
+    write_page(tmp_path / "page.html", [("A paper", "about it", [figure, figure])], "seed 0")
+    text = (tmp_path / "page.html").read_text()
+    assert text.count("data:image/png;base64,") == 2
+    assert "Figure 1: A &amp; B" in text
+    assert not re.search(r'(src|href)="http', text)
