@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import subprocess
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -120,3 +121,33 @@ def chromium() -> Iterator[Any]:
         browser = playwright.chromium.launch(executable_path=found, args=list(flags))
         yield browser
         browser.close()
+
+
+@pytest.fixture(scope="session")
+def accessible() -> Callable[[Any], None]:
+    """Fails where axe-core finds a violation of WCAG 2.2 A and AA, or of its best practice, on a page on show.
+
+    The script is that of the npm package axe-core: of FEATREG_AXE, of ``.venv/node_modules`` (``npm install --prefix
+    .venv axe-core``), or installed globally; skipped where there is none.
+    """
+    places = [os.environ.get("FEATREG_AXE", ""), Path(__file__).parents[1] / ".venv/node_modules/axe-core/axe.min.js"]
+    npm = shutil.which("npm")
+    if npm is not None:
+        root = subprocess.run([npm, "root", "--global"], capture_output=True, text=True, check=False).stdout.strip()
+        places.append(Path(root, "axe-core/axe.min.js"))
+    script = next((Path(place) for place in places if place and Path(place).is_file()), None)
+    if script is None:
+        pytest.skip("accessibility is looked at by axe-core: npm install --prefix .venv axe-core")
+    source = script.read_text(encoding="utf-8")
+
+    def check(page: Any) -> None:
+        page.evaluate(f"{source}; undefined")
+        found = page.evaluate("axe.run(document, {resultTypes: ['violations']})")
+        assert len(found["passes"]) > 10, "axe-core has not looked"
+        said = [
+            f"{v['id']} ({v['impact']}): {v['help']}: {[n['html'][:160] for n in v['nodes'][:3]]}"
+            for v in found["violations"]
+        ]
+        assert not said, "\n".join(said)
+
+    return check

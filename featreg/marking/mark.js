@@ -191,15 +191,36 @@ function near(side, place) {
 }
 
 canvases.forEach((canvas, side) => {
-  let drag = null;
+  let drag = null, pinch = null;
+  const fingers = new Map();
+  const spread = () => {
+    const [[a, b], [c, d]] = [...fingers.values()];
+    return { apart: Math.max(1, Math.hypot(c - a, d - b)), middle: [(a + c) / 2, (b + d) / 2] };
+  };
   const spot = (event) => [event.offsetX, event.offsetY];
   canvas.addEventListener("pointerdown", (event) => {
     if (!views || event.button) return;
     const place = spot(event);
+    fingers.set(event.pointerId, place);
+    if (fingers.size === 2) {
+      // Two fingers zoom and move; whatever the first had begun is no mark.
+      drag = null;
+      pinch = spread();
+      return;
+    }
     drag = { start: place, last: place, moved: false, point: near(side, place) };
     canvas.setPointerCapture(event.pointerId);
   });
   canvas.addEventListener("pointermove", (event) => {
+    if (pinch && fingers.has(event.pointerId)) {
+      fingers.set(event.pointerId, spot(event));
+      const now = spread();
+      views[side].x -= (now.middle[0] - pinch.middle[0]) / views[side].zoom;
+      views[side].y -= (now.middle[1] - pinch.middle[1]) / views[side].zoom;
+      zoom(side, now.apart / pinch.apart, now.middle);
+      pinch = now;
+      return;
+    }
     if (!drag) return;
     const place = spot(event);
     drag.moved ||= Math.hypot(place[0] - drag.start[0], place[1] - drag.start[1]) > 4;
@@ -213,14 +234,19 @@ canvases.forEach((canvas, side) => {
     drag.last = place;
     draw();
   });
+  const lifted = (event) => {
+    fingers.delete(event.pointerId);
+    if (fingers.size < 2) pinch = null;
+  };
   canvas.addEventListener("pointerup", (event) => {
+    lifted(event);
     if (!drag) return;
     const { moved, point } = drag, xy = image(side, spot(event));
     drag = null;
     if (!moved) mark(side, xy);
     else if (point >= 0) act({ action: "move", index: point, role: ROLES[side], xy }, "Moved.");
   });
-  canvas.addEventListener("pointercancel", () => { drag = null; });
+  canvas.addEventListener("pointercancel", (event) => { lifted(event); drag = null; });
   canvas.addEventListener("wheel", (event) => {
     event.preventDefault();
     zoom(side, Math.exp(-event.deltaY * 0.0015), spot(event));

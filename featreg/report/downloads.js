@@ -11,6 +11,32 @@ function download(name, kind, label, make) {
   return link;
 }
 
+/** The name of a file made of any text. */
+const fileName = (text, otherwise) => text.trim().toLowerCase().replace(/[^a-z0-9]+/g, "-").replace(/^-|-$/g, "").slice(0, 60) || otherwise;
+
+/** A link that saves the canvas that `make` returns, at once or later, as PNG. */
+function pictureDownload(make, name, label) {
+  return el("a", { href: "#", class: "download", onclick: async (event) => {
+    event.preventDefault();
+    const canvas = await make();
+    canvas.toBlob((content) => {
+      const address = URL.createObjectURL(content);
+      el("a", { href: address, download: `${fileName(name(), "picture")}.png` }).click();
+      setTimeout(() => URL.revokeObjectURL(address), 60_000);
+    }, "image/png");
+  } }, label);
+}
+
+/** A chart in pixels, three for each of its own. */
+async function rastered(chart) {
+  const picture = new Image();
+  picture.src = `data:image/svg+xml;charset=utf-8,${encodeURIComponent(standalone(chart))}`;
+  await picture.decode();
+  const canvas = el("canvas", { width: 3 * picture.width, height: 3 * picture.height });
+  canvas.getContext("2d").drawImage(picture, 0, 0, canvas.width, canvas.height);
+  return canvas;
+}
+
 /** Links to the tables that came with the study; none where there are none. */
 function tableDownloads() {
   const kinds = { "table.csv": ["text/csv", "CSV"], "table.tex": ["application/x-tex", "LaTeX"] };
@@ -44,7 +70,9 @@ function standalone(chart) {
 function chartDownloads(cards) {
   cards.forEach((card, k) => {
     const found = () => card.querySelector("svg:not(.swatch)");
-    const name = (card.querySelector("h3, figcaption")?.textContent ?? `chart ${k + 1}`).trim().toLowerCase().replace(/[^a-z0-9]+/g, "-").replace(/^-|-$/g, "").slice(0, 60);
-    if (found()) card.append(el("p", { class: "downloads" }, download(`${name || "chart"}.svg`, "image/svg+xml", "Save as SVG", () => standalone(found()))));
+    const name = fileName(card.querySelector("h3, figcaption")?.textContent ?? "", `chart-${k + 1}`);
+    if (found()) card.append(el("p", { class: "downloads" },
+      download(`${name}.svg`, "image/svg+xml", "Save as SVG", () => standalone(found())), ", ",
+      pictureDownload(() => rastered(found()), () => name, "as PNG")));
   });
 }

@@ -70,9 +70,21 @@ class Handling extends Painting {
     this.draw();
   }
 
+  /** Two fingers went apart or together, and moved. */
+  pinched({ factor, middle, by }) {
+    if (!this.views) return;
+    const side = this.at.mode === "matches" && this.views[1].holds(...middle) ? 1 : 0, view = this.views[side];
+    view.x -= by[0] / view.zoom;
+    view.y -= by[1] / view.zoom;
+    view.enlarge(factor, ...middle);
+    this.follow(side);
+    this.draw();
+  }
+
   listen() {
     const { canvas } = this;
     let drag = null;
+    const fingers = new Fingers();
     const spot = (event) => {
       const box = canvas.getBoundingClientRect();
       return [event.clientX - box.left, event.clientY - box.top];
@@ -80,11 +92,17 @@ class Handling extends Painting {
     canvas.addEventListener("pointerdown", (event) => {
       if (!this.views || event.button) return;
       const [u, v] = spot(event);
+      fingers.down(event, [u, v]);
+      if (fingers.two) {
+        drag = null;
+        return;
+      }
       drag = { u, v, side: this.at.mode === "matches" && this.views[1].holds(u, v) ? 1 : 0, swipe: this.at.mode === "swipe" && !event.shiftKey && Math.abs(u - this.split * this.stage.clientWidth) < 24 };
       canvas.setPointerCapture(event.pointerId);
     });
     canvas.addEventListener("pointermove", (event) => {
-      const [u, v] = spot(event);
+      const [u, v] = spot(event), pinch = fingers.moved(event, [u, v]);
+      if (pinch) return this.pinched(pinch);
       if (!drag) return this.choose(this.nearest(u, v), [u, v]);
       if (drag.swipe) {
         this.split = Math.max(0, Math.min(1, u / this.stage.clientWidth));
@@ -98,11 +116,14 @@ class Handling extends Painting {
       }
       this.draw();
     });
-    for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, () => { drag = null; });
+    for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, (event) => { drag = null; fingers.up(event); });
     canvas.addEventListener("pointerleave", () => { this.tip.hidden = true; });
     canvas.addEventListener("wheel", (event) => {
       // The page scrolls until somebody has turned to the picture.
-      if (document.activeElement !== canvas && !event.ctrlKey) return;
+      if (document.activeElement !== canvas && !event.ctrlKey) {
+        this.details.textContent = "To zoom by the wheel, click the picture first or hold Ctrl.";
+        return;
+      }
       event.preventDefault();
       this.zoom(Math.exp(-event.deltaY * 0.0015), ...spot(event));
     }, { passive: false });

@@ -22,9 +22,11 @@ SCRIPTS = (
     "charts.js",
     "downloads.js",
     "canvas.js",
+    "touching.js",
     "painting.js",
     "handling.js",
     "viewer.js",
+    "printing.js",
     "main.js",
 )
 STYLE, TEMPLATE = "report.css", "report.html"

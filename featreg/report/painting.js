@@ -11,7 +11,7 @@ class Painting {
   resize() {
     const width = this.stage.clientWidth;
     if (!width) return;
-    const pictures = this.pictures, one = this.at.mode !== "matches", ratio = (size) => size[1] / size[0];
+    const pictures = this.views && this.pictures, one = this.at.mode !== "matches", ratio = (size) => size[1] / size[0];
     let height = 160;
     if (pictures) {
       const sizes = pictures.map((p) => p.size), half = (width - 8) / 2;
@@ -44,6 +44,8 @@ class Painting {
     context.clearRect(0, 0, this.canvas.width, this.canvas.height);
     this.canvas.setAttribute("aria-label", this.label());
     if (!this.pictures) return this.say(context, this.problem || "…");
+    // Another pair was chosen, and its pictures are on their way.
+    if (!this.views) return;
     if (mode === "matches") return this.paintMatches(context);
     if (mode === "residuals") return this.paintResiduals(context);
     if (!this.map) return this.say(context, "There is no model to align the images with.");

@@ -2,6 +2,8 @@
 
 const KEYS = "Arrow left and right step through the tie points, plus and minus zoom, 0 shows the whole image, W A S D move it.";
 
+const READ = "Point at a tie point, or use the arrow keys, to read it.";
+
 class Viewer extends Handling {
   constructor() {
     super();
@@ -17,7 +19,7 @@ class Viewer extends Handling {
     this.chosen = -1;
     this.turn = 0;
     this.canvas = el("canvas", { class: "stage", tabindex: "0", role: "application", "aria-label": "Tie points", "aria-describedby": "viewer-keys" });
-    this.details = el("output", { class: "point", "aria-live": "polite" }, "Point at a tie point, or use the arrow keys, to read it.");
+    this.details = el("output", { class: "point", "aria-live": "polite" }, READ);
     this.tip = el("div", { class: "tip", hidden: true, "aria-hidden": "true" });
     this.stage = el("div", { class: "frame" }, this.canvas, this.tip);
     this.controls = el("div", { class: "controls" });
@@ -37,8 +39,10 @@ class Viewer extends Handling {
     return section("pairs", "Pairs", this.heads, this.modes,
       el("div", { class: "viewer" },
         el("div", { class: "main" }, this.controls, this.stage, this.details,
-          el("p", { class: "note", id: "viewer-keys" }, `Wheel and drag zoom and move both images together. ${KEYS}`)),
-        this.side));
+          el("p", { class: "note", id: "viewer-keys" }, `Wheel and drag, or two fingers, zoom and move both images together. ${KEYS}`),
+          el("p", { class: "downloads" }, pictureDownload(() => this.canvas, () => `${study.methods[this.at.method]}-${study.pairs[this.at.pair]?.name}-${this.at.mode}`, "Save this view as PNG"))),
+        this.side),
+      ...printButton(this));
   }
 
   /** The entry on show; there may be none for this pair, method and seed. */
@@ -69,6 +73,8 @@ class Viewer extends Handling {
     if (pair !== before.pair) this.views = null;
     if (pair !== before.pair || method !== before.method || seed !== before.seed) {
       this.chosen = -1;
+      this.tip.hidden = true;
+      this.details.textContent = READ;
       this.aligned = this.ties = null;
       this.gain = this.lines = null;
     }

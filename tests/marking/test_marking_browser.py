@@ -157,3 +157,30 @@ def test_others_are_refused_by_the_running_server(session: Session) -> None:
         refused.value.close()
     with urlopen(session.address, timeout=20) as answer:
         assert answer.status == 200
+
+
+def test_the_page_has_no_violation_that_axe_knows(page: Any, accessible: Callable[[Any], None]) -> None:
+    for side, places in enumerate(PLACES[:2]):
+        page.locator(f"#view-{side}").click(position={"x": float(places[0]), "y": float(places[1])})
+    accessible(page)
+
+
+def test_two_fingers_zoom_and_make_no_mark(page: Any) -> None:
+    """A pinch on the reference: both views are enlarged, and no point is begun."""
+    picture = "c => c.toDataURL()"
+    canvas = page.locator("#view-0")
+    before = canvas.evaluate(picture)
+    canvas.evaluate(
+        """(canvas) => {
+          canvas.setPointerCapture = () => {};
+          const box = canvas.getBoundingClientRect();
+          for (const [type, id, x] of [["pointerdown", 1, 100], ["pointerdown", 2, 140], ["pointermove", 2, 240],
+                                       ["pointerup", 2, 240], ["pointerup", 1, 100]])
+            canvas.dispatchEvent(new PointerEvent(type, {pointerId: id, pointerType: "touch", bubbles: true,
+              clientX: box.left + x, clientY: box.top + 100}));
+        }"""
+    )
+    page.wait_for_timeout(300)
+    assert canvas.evaluate(picture) != before
+    assert page.locator("#cancel").is_disabled()
+    assert page.locator("#points tr").count() == 0

@@ -450,3 +450,112 @@ def test_tables_and_charts_can_be_taken_along(visit: Callable[..., Visit], sar_t
         # Outside the page nothing refers to its style any more.
         assert not any("class" in part.attrib for part in root.iter())
         assert "var(" not in caught.value.path().read_text(encoding="utf-8")
+
+
+def test_charts_and_views_are_saved_as_png(visit: Callable[..., Visit]) -> None:
+    seen = visit()
+    page = seen.page
+    seen.viewer("Overlay")
+    for link in (
+        page.get_by_role("link", name="as PNG", exact=True).first,
+        page.get_by_role("link", name="view as PNG"),
+    ):
+        with page.expect_download() as caught:
+            link.click()
+        assert caught.value.suggested_filename.endswith(".png")
+        picture = cv2.imread(str(caught.value.path()))
+        assert min(picture.shape[:2]) > 150
+        assert picture.std() > 5
+
+
+def test_two_fingers_zoom_and_move(visit: Callable[..., Visit]) -> None:
+    seen = visit(has_touch=True)
+    seen.viewer("Overlay")
+    # The viewer has no global name; what its canvas shows tells.
+    before = seen.picture()
+    fingers = """(canvas, places) => {
+      const box = canvas.getBoundingClientRect();
+      canvas.setPointerCapture = () => {};
+      for (const [type, id, x, y] of places)
+        canvas.dispatchEvent(new PointerEvent(type, {pointerId: id, pointerType: "touch", bubbles: true,
+          button: type === "pointermove" ? -1 : 0, clientX: box.left + x, clientY: box.top + y}));
+    }"""
+    canvas = seen.page.locator("canvas.stage")
+    apart = [["pointerdown", 1, 100, 100], ["pointerdown", 2, 140, 100], ["pointermove", 2, 240, 100]]
+    canvas.evaluate(fingers, apart)
+    enlarged = seen.picture()
+    assert enlarged != before
+    canvas.evaluate(fingers, [["pointermove", 2, 140, 100], ["pointerup", 2, 140, 100], ["pointerup", 1, 100, 100]])
+    assert seen.picture() == before
+    # One finger alone drags.
+    canvas.evaluate(fingers, [["pointerdown", 3, 50, 50], ["pointermove", 3, 60, 80], ["pointerup", 3, 60, 80]])
+    assert seen.picture() != before
+
+
+def test_the_text_of_a_tie_point_goes_with_its_pair(visit: Callable[..., Visit]) -> None:
+    seen = visit()
+    seen.viewer("Matches").press("ArrowRight")
+    said = seen.page.locator("output.point")
+    assert "px from the truth" in said.inner_text()
+    seen.page.get_by_role("button", name="Next pair").click()
+    seen.page.wait_for_selector("[data-ready^='1/']")
+    assert said.inner_text().startswith("Point at a tie point")
+
+
+def test_the_wheel_says_how_it_zooms(visit: Callable[..., Visit]) -> None:
+    seen = visit()
+    seen.viewer("Overlay").hover()
+    seen.page.evaluate("document.activeElement.blur()")
+    seen.page.mouse.wheel(0, 10)
+    seen.page.get_by_text("click the picture first or hold Ctrl").wait_for(timeout=3000)
+
+
+def test_print_holds_every_pair_and_whole_tables(visit: Callable[..., Visit], tmp_path: Path) -> None:
+    seen = visit()
+    page = seen.page
+    seen.viewer("Swipe")
+    page.evaluate("void (window.print = () => { document.body.dataset.asked = 'yes'; })")
+    page.get_by_role("button", name="Print every pair").click()
+    page.wait_for_selector("body[data-asked]", timeout=60_000)
+    figures = page.locator(".printed figure")
+    assert figures.count() == 9
+    assert "failed" in figures.nth(5).inner_text() or "died of signal 11" in page.locator(".printed").inner_html()
+    # The viewer is where it was.
+    assert page.get_by_role("radio", name="Swipe").is_checked()
+    page.emulate_media(media="print")
+    assert page.locator(".printed").is_visible()
+    assert not page.locator(".viewer").is_visible()
+    wide = page.evaluate(
+        "[...document.querySelectorAll('.scroll')].filter((s) => getComputedStyle(s).overflowX !== 'visible').length"
+    )
+    assert wide == 0
+    page.pdf(path=str(tmp_path / "page.pdf"))
+    assert (tmp_path / "page.pdf").stat().st_size > 50_000
+
+
+@pytest.mark.parametrize(("scheme", "width"), [("light", 1280), ("dark", 390)])
+def test_the_page_has_no_violation_that_axe_knows(
+    visit: Callable[..., Visit], accessible: Callable[[Any], None], scheme: str, width: int
+) -> None:
+    seen = visit(color_scheme=scheme)
+    seen.page.set_viewport_size({"width": width, "height": 900})
+    for mode in ("Matches", "Residuals"):
+        seen.viewer(mode)
+        accessible(seen.page)
+
+
+def test_the_page_of_one_result_has_no_violation_that_axe_knows(
+    visit: Callable[..., Visit], accessible: Callable[[Any], None], sar_texture: Make, tmp_path: Path
+) -> None:
+    from featreg.report.from_registration import write_registration_report
+
+    for name, seed in (("a", 1), ("b", 2)):
+        np.save(tmp_path / f"{name}.npy", sar_texture(100, 120, seed))
+    images: Any = {
+        role: InputImage(str(tmp_path / f"{name}.npy"), (100, 120))
+        for role, name in (("reference", "a"), ("secondary", "b"))
+    }
+    write_registration_report(tmp_path / "view.html", registration(60, 3, **images))
+    seen = visit(path=tmp_path / "view.html")
+    seen.viewer("Swipe")
+    accessible(seen.page)
