@@ -130,11 +130,12 @@ def accessible() -> Callable[[Any], None]:
     The script is that of the npm package axe-core: of FEATREG_AXE, of ``.venv/node_modules`` (``npm install --prefix
     .venv axe-core``), or installed globally; skipped where there is none.
     """
-    places = [os.environ.get("FEATREG_AXE", ""), Path(__file__).parents[1] / ".venv/node_modules/axe-core/axe.min.js"]
+    own = Path(__file__).parents[1] / ".venv/node_modules/axe-core/axe.min.js"
+    places = [os.environ.get("FEATREG_AXE", ""), str(own)]
     npm = shutil.which("npm")
     if npm is not None:
         root = subprocess.run([npm, "root", "--global"], capture_output=True, text=True, check=False).stdout.strip()
-        places.append(Path(root, "axe-core/axe.min.js"))
+        places.append(str(Path(root, "axe-core/axe.min.js")))
     script = next((Path(place) for place in places if place and Path(place).is_file()), None)
     if script is None:
         pytest.skip("accessibility is looked at by axe-core: npm install --prefix .venv axe-core")

@@ -121,7 +121,7 @@ def metrics(incomplete: str) -> list[Offer]:
 
 def listed_names(incomplete: str) -> list[Offer]:
     """Of `featreg list`."""
-    from featreg.cli.listing import KINDS
+    from featreg.cli.listed import KINDS
     from featreg.registry import KINDS as PARTS
 
     kinds = [(kind, "all of this kind") for kind in KINDS]
@@ -140,7 +140,7 @@ def settings(ctx: typer.Context, incomplete: str) -> list[Offer]:
 
 
 def _keys(method: str) -> Iterator[Offer]:
-    from featreg.cli.listing import Item
+    from featreg.cli.listed import Item
 
     for part in ("detector", "descriptor", "nearest", "matcher", "filters"):
         yield f"{part}=", "replace this part"
@@ -149,7 +149,7 @@ def _keys(method: str) -> Iterator[Offer]:
 
 
 def _values(method: str, key: str) -> list[Offer]:
-    from featreg.cli.listing import Item
+    from featreg.cli.listed import Item
 
     if key in ("detector", "descriptor", "nearest", "matcher"):
         return list(_named(key))

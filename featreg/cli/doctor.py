@@ -18,7 +18,7 @@ from featreg.runtime.threads import THREAD_VARIABLES, available_processors
 from featreg.runtime.versions import LIBRARIES, version_of, versions
 
 #: Distributions that a command needs.
-OF_COMMANDS = ("typer", "rich", "matplotlib", "pandas", "pyarrow")
+OF_COMMANDS = ("typer", "rich", "matplotlib", "pyarrow")
 #: The four builds of OpenCV, of which any may be installed.
 OPENCV = (
     "opencv-contrib-python-headless",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -24,6 +26,7 @@ from featreg.cli.options import (
 from featreg.errors import InputError, ParameterError
 from featreg.pipeline.keywords import KEYWORDS
 from featreg.presets import DEFAULT_METHOD
+from featreg.runtime.files import write_atomic
 from featreg.runtime.threads import limited_threads
 
 
@@ -152,7 +155,7 @@ def stack(
                 **how,
             )
         made.to_json(folder / "stack.json")
-        made.to_dataframe().to_csv(folder / "stack.csv", index=False)
+        write_atomic(folder / "stack.csv", _csv(made.rows()).encode(errors="backslashreplace"))
         draw_stack(made, folder / "stack.png")
         if warp:
             made.warp(folder / "aligned")
@@ -160,6 +163,15 @@ def stack(
             made.to_file(cube)
     typer.echo(made.explain())
     raise typer.Exit(0 if all(status == "ok" for status in made.status) else 3)
+
+
+def _csv(rows: list[dict[str, Any]]) -> str:
+    """A table of which what is not known is empty."""
+    out = io.StringIO()
+    writer = csv.DictWriter(out, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({name: "" if value != value else value for name, value in row.items()} for row in rows)
+    return out.getvalue()
 
 
 def _number(reference: str, images: list[str]) -> int | str:

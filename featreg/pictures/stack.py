@@ -25,8 +25,10 @@ def draw_stack(stack: Stack, path: str | Path) -> None:
     checked_target(path)
     from matplotlib.figure import Figure
 
-    table = stack.to_dataframe()
-    at = np.arange(len(table))
+    rows = stack.rows()
+    names = ("dx", "dy", "standard_error", "rotation_deg", "closure")
+    table = {name: np.array([row[name] for row in rows], np.float64) for name in names}
+    at = np.arange(len(rows))
     figure = Figure(figsize=(9, 6.5), dpi=110, layout="constrained")
     top, middle, bottom = figure.subplots(3, 1, sharex=True, height_ratios=[3, 1.2, 1.4])
     for name, colour, label in (("dx", ALONG_X, "along x"), ("dy", ALONG_Y, "along y")):

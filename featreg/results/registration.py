@@ -18,6 +18,7 @@ from featreg.results.stages import MEASURED
 from featreg.results.standard_errors import standard_errors as rigid_errors
 from featreg.results.summary import one_line, summary
 from featreg.runtime.deferred import job
+from featreg.runtime.optional import import_pandas
 from featreg.runtime.showing import Shown, figure_of
 from featreg.types import BoolArray, FloatArray, Gate, Matches, column
 
@@ -71,9 +72,7 @@ class Registration(Shown):
 
     def to_dataframe(self) -> Any:
         """Return a `pandas.DataFrame` of every tie point, with the columns of the result's table."""
-        import pandas as pd
-
-        return pd.DataFrame(tie_point_columns(self))
+        return import_pandas().DataFrame(tie_point_columns(self))
 
     def plot(self, reference: Any = None, secondary: Any = None, *, truth: Any = None) -> Any:
         """Return a `matplotlib.figure.Figure`: tie points on both images, checkerboard and overlay of the aligned pair.

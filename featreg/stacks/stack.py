@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from featreg.interfaces import Model
+from featreg.runtime.optional import import_pandas
 from featreg.stacks.closure import Loop
 from featreg.stacks.jumps import Jump
 from featreg.stacks.pairs import StackPair
@@ -68,9 +69,12 @@ class Stack:
         return np.asarray((model(centre) - centre)[0])
 
     def to_dataframe(self) -> pd.DataFrame:
-        """Return the table of the dates: shift, rotation, scale, standard error, closure, status and reason."""
-        import pandas as pd
+        """Return the table of the dates, `rows`, as a `pandas.DataFrame`."""
+        frame: pd.DataFrame = import_pandas().DataFrame(self.rows())
+        return frame
 
+    def rows(self) -> list[dict[str, Any]]:
+        """Return for each date its shift, rotation, scale, standard error, closure, status and reason, NaN for none."""
         from featreg.geometry import decompose, local_linear
 
         centre = (np.array(self.shape[::-1], np.float64) - 1) / 2
@@ -92,7 +96,7 @@ class Stack:
                     "reason": self.reasons[i],
                 }
             )
-        return pd.DataFrame(rows)
+        return rows
 
     def explain(self) -> str:
         """Return in words which images were left out, which pairs were thrown out, and where the position jumps."""

@@ -16,6 +16,7 @@ import numpy as np
 from featreg.errors import InputError, ParameterError, suggest
 from featreg.results.json_file import plain
 from featreg.runtime.files import write_atomic
+from featreg.runtime.optional import import_pandas
 from featreg.runtime.showing import Shown, figure_of
 from featreg.study.intervals import FEWEST, Interval, interval
 from featreg.study.latex import latex
@@ -239,9 +240,7 @@ class Table(Shown):
 
     def to_dataframe(self) -> Any:
         """Return the rows as a `pandas.DataFrame`."""
-        import pandas as pd
-
-        return pd.DataFrame([dict(row) for row in self.rows], columns=list(self.columns))
+        return import_pandas().DataFrame([dict(row) for row in self.rows], columns=list(self.columns))
 
     def to_parquet(self, path: str | Path) -> None:
         """Write the rows as Parquet, the protocol in the file's metadata under "featreg".

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from featreg.errors import InputError
+from featreg.runtime.optional import import_pandas
 from featreg.runtime.showing import Shown
 from featreg.types import keypoints as opencv_keypoints
 from featreg.types import lafs as kornia_lafs
@@ -106,12 +107,10 @@ class Features(ReadOnlyArrays, Shown):
 
     def to_dataframe(self) -> Any:
         """Return a `pandas.DataFrame` of one row per point: x, y, scale, angle, score, level, subpixel if known."""
-        import pandas as pd
-
         columns: dict[str, Any] = {"x": self.xy[:, 0], "y": self.xy[:, 1]}
         columns |= {name: getattr(self, name) for name in ("scale", "angle", "score", "level")}
         columns |= {} if self.subpixel is None else {"subpixel": self.subpixel}
-        return pd.DataFrame(columns)
+        return import_pandas().DataFrame(columns)
 
     def take(self, rows: NDArray[Any]) -> Self:
         """The features of the given rows (indices or a bool mask), in that order."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import InputError
+from featreg.runtime.optional import import_pandas
 from featreg.runtime.showing import Shown, figure_of
 from featreg.types.arrays import FloatArray, IntArray, ReadOnlyArrays, column, points, read_only
 
@@ -68,15 +69,13 @@ class Matches(ReadOnlyArrays, Shown):
 
     def to_dataframe(self) -> Any:
         """Return a `pandas.DataFrame` of one row per tie point, with the columns of a result's table that are known."""
-        import pandas as pd
-
         xy = np.hstack([self.reference_xy, self.secondary_xy]).T
         names = ("reference_x", "reference_y", "secondary_x", "secondary_y")
         columns: dict[str, Any] = {**dict(zip(names, xy, strict=True)), "score": self.score, "origin": self.origin}
         if self.covariance is not None:
             columns |= {f"cov_{'xy'[i]}{'xy'[j]}": self.covariance[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1))}
         columns |= {n: getattr(self, n) for n in ("rotation", "scale_ratio") if getattr(self, n) is not None}
-        return pd.DataFrame(columns)
+        return import_pandas().DataFrame(columns)
 
     def plot(self, reference: Any = None, secondary: Any = None) -> Any:
         """Return a `matplotlib.figure.Figure` of the tie points, on the images where these are given.

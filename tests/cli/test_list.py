@@ -14,6 +14,7 @@ import pytest
 
 from featreg import registry
 from featreg.cli import listing
+from featreg.cli.listed import KINDS
 from featreg.cli.main import main
 from featreg.presets import PRESETS
 
@@ -36,10 +37,10 @@ def test_list_is_one_line_a_name_by_kind(run: Run) -> None:
     code, out, err = run("list")
     assert (code, err) == (0, "")
     lines = out.splitlines()
-    assert [line for line in lines if not line.startswith(" ")][:7] == list(listing.KINDS)
+    assert [line for line in lines if not line.startswith(" ")][:7] == list(KINDS)
     names = [(kind, e.name, e.summary) for kind in registry.KINDS for e in registry.entries(kind)]
     names += [("method", name, preset.summary) for name, preset in PRESETS.items()]
-    assert len(lines) == len(listing.KINDS) + len(names)
+    assert len(lines) == len(KINDS) + len(names)
     assert all(
         re.search(rf"^  {name} +{re.escape(summary.rstrip('.'))}", out, re.MULTILINE) for _, name, summary in names
     )

@@ -464,6 +464,7 @@ def test_charts_and_views_are_saved_as_png(visit: Callable[..., Visit]) -> None:
             link.click()
         assert caught.value.suggested_filename.endswith(".png")
         picture = cv2.imread(str(caught.value.path()))
+        assert picture is not None
         assert min(picture.shape[:2]) > 150
         assert picture.std() > 5
 
