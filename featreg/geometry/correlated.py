@@ -148,12 +148,16 @@ def _interval(variances: FloatArray, share: FloatArray) -> float:
     """Standard deviation of the normal error whose 95 % interval is that of the mixture of these variances."""
     likely = share > 1e-5
     deviation, share = np.sqrt(np.maximum(variances[likely], 1e-12)), share[likely] / share[likely].sum()
-    low, high = 0.0, float(deviation.max())
-    for _ in range(16):
-        middle = (low + high) / 2
-        outside = float(share @ [math.erfc(Z95 * middle / (d * math.sqrt(2))) for d in deviation.tolist()])
-        low, high = (middle, high) if outside > 0.05 else (low, middle)
-    return high
+    # What lies outside falls along a curve that bends upwards: Newton's steps come from below and never go beyond.
+    width = float(deviation.min())
+    for _ in range(50):
+        within = Z95 / math.sqrt(2) * width / deviation
+        outside = float(share @ [math.erfc(one) for one in within.tolist()]) - 0.05
+        step = outside * width / float(share @ (2 / math.sqrt(math.pi) * within * np.exp(-(within**2))))
+        width += step
+        if step < 1e-9 * width:
+            break
+    return width
 
 
 def prediction(
@@ -185,19 +189,24 @@ def _gathered(
     place, variance, weight, number, mean, design : (C, 2) px, (C,) px^2 along either axis of the places about it, (C,)
         sum, (C,) of independent ones of equal weight, (C, 2) px mean error, (C, 2, P) mean derivatives
     """
+    from featreg.geometry.correlated_kernels import group_sums
+
     low = xy.min(axis=0)
     side = max(float((xy.max(axis=0) - low).max()), 1e-9) / CELLS
     column, row = np.minimum(((xy - low) / side).astype(np.int64), CELLS - 1).T
     cell = row * CELLS + column
-    order = np.argsort(cell, kind="stable")
-    starts = np.flatnonzero(np.diff(cell[order], prepend=-1))
-    values = np.column_stack([xy, (xy**2).sum(axis=1), error, design.reshape(len(xy), -1)])[order]
-    w = weights[order]
-    total = np.add.reduceat(w, starts)
-    mean = np.add.reduceat(values * w[:, None], starts, axis=0) / total[:, None]
-    place = mean[:, :2]
-    variance = np.maximum(mean[:, 2] - (place**2).sum(axis=1), 0) / 2
-    number = total**2 / np.add.reduceat(w**2, starts)
+    # Places from the corner of the box, so that their variance keeps its digits.
+    near = xy - low
+    values = np.column_stack(
+        [np.ones(len(xy)), weights, near, (near**2).sum(axis=1), error, design.reshape(len(xy), -1)]
+    )
+    sums = np.zeros((CELLS * CELLS, values.shape[1]))
+    group_sums(values, np.ascontiguousarray(weights), cell, sums)
+    sums = sums[sums[:, 0] > 0]
+    total = sums[:, 0]
+    mean = sums[:, 2:] / total[:, None]
+    variance = np.maximum(mean[:, 2] - (mean[:, :2] ** 2).sum(axis=1), 0) / 2
+    place, number = mean[:, :2] + low, total**2 / sums[:, 1]
     return place, variance, total, number, mean[:, 3:5], mean[:, 5:].reshape(len(total), *design.shape[1:])
 
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from featreg.runtime.jit import compiled
-from featreg.types import FloatArray
+from featreg.types import FloatArray, IntArray
 
 
 @compiled
@@ -115,3 +115,33 @@ def whitened(
                 for q in range(half):
                     square[p, q] += white[i, p] * white[i, q] + white[i, half + p] * white[i, half + q]
     return True
+
+
+@compiled
+def group_sums(values: FloatArray, weights: FloatArray, group: IntArray, sums: FloatArray) -> None:
+    """Add to sums[g] (G, K) the rows of values (M, K) of the points whose group is g, times their weights (M,)."""
+    for i in range(values.shape[0]):
+        total, weight = sums[group[i]], weights[i]
+        for k in range(values.shape[1]):
+            total[k] += weight * values[i, k]
+
+
+@compiled
+def group_normals(
+    design: FloatArray, error: FloatArray, group: IntArray, normal: FloatArray, moment: FloatArray
+) -> None:
+    """Add to normal[g] (G, P, P) and moment[g] (G, P) the normal equations of the points whose group is g.
+
+    `design` (M, 2, P) are the derivatives and `error` (M, 2) the errors of both coordinates of each point.
+    """
+    count = design.shape[2]
+    for i in range(design.shape[0]):
+        g = group[i]
+        for axis in range(2):
+            row, e = design[i, axis], error[i, axis]
+            for p in range(count):
+                value = row[p]
+                if value != 0.0:
+                    moment[g, p] += value * e
+                    for q in range(count):
+                        normal[g, p, q] += value * row[q]

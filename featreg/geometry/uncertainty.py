@@ -188,6 +188,8 @@ def regional_covariance(
     ----------
     P. S. Kott, "The delete-a-group jackknife", J. Official Statistics 17 (2001) 521.
     """
+    from featreg.geometry.correlated_kernels import group_normals
+
     points = np.asarray(at, np.float64)
     if isinstance(model, CorrectedModel):
         mapped, there = model.known(reference_xy), model.known(points)
@@ -206,12 +208,8 @@ def regional_covariance(
         root = np.sqrt(weights / weights.mean())
         design, error = design * root[:, None, None], error * root[:, None]
     count = design.shape[2]
-    order = np.argsort(group, kind="stable")
-    starts = np.searchsorted(group[order], np.arange(len(numbers)))
-    normal, moment = np.empty((len(numbers), count, count)), np.empty((len(numbers), count))
-    for k, rows in enumerate(np.split(order, starts[1:])):
-        part = design[rows].reshape(-1, count)
-        normal[k], moment[k] = part.T @ part, part.T @ error[rows].ravel()
+    normal, moment = np.zeros((len(numbers), count, count)), np.zeros((len(numbers), count))
+    group_normals(np.ascontiguousarray(design), error, group, normal, moment)
     rest = normal.sum(axis=0) - normal
     if np.linalg.cond(rest).max() > 1e12:
         return FailedFit("the points outside one region do not determine the model")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from featreg.types import BoolArray, FloatArray, Image, Matches, read_only
 
 F32 = NDArray[np.float32]
+Masked = Callable[[], BoolArray]
 
 #: Fewest identical pixels that can make a tie point, and the share of an image beyond which they are the scene.
 LEAST, MOST = 20, 0.7
@@ -115,28 +117,33 @@ def _drawn(reference: Image, secondary: Image) -> BoolArray:
     """(H, W) pixels of the same bright or dark drawing on both images, which compression has made differ a little."""
     mask, first, second = reference.mask & secondary.mask, reference.amplitude, secondary.amplitude
     found = np.zeros_like(mask)
-    valid = np.flatnonzero(mask.ravel())
-    if not len(valid):
+    count = np.count_nonzero(mask)
+    if not count:
         return found
     # Drawn at random, as rows and columns may be those of a grid.
-    some = valid[np.random.default_rng(0).integers(0, len(valid), SAMPLES)]
+    some = np.random.default_rng(0).integers(0, count, SAMPLES)
+    if count < mask.size:
+        some = np.flatnonzero(mask.ravel())[some]
     levels = np.array([np.percentile(view.ravel()[some], (50, 90)) for view in (first, second)])
     dark, bright = np.float32(DRAWN_DARK * levels[:, 0].min()), levels[:, 1].max()
     # Invalid pixels hold 0 in their own image only.
     less, more = np.minimum(first, second), np.maximum(first, second) * mask
     top = float(more.max())
     grey, white = (np.float32(max(bright, share * top)) for share in (DRAWN_GREY, DRAWN_BRIGHT))
-    for both, either in (
-        (mask & (more <= dark), mask & (less <= dark)),
-        (less >= white, more >= white),
-        ((less >= grey) & (more - less <= np.float32(GREY_NOISE * top)), more >= grey),
-    ):
+    noise = np.float32(GREY_NOISE * top)
+    kinds: tuple[tuple[Masked, Masked], ...] = (
+        (lambda: mask & (more <= dark), lambda: mask & (less <= dark)),
+        (lambda: less >= white, lambda: more >= white),
+        (lambda: (less >= grey) & (more - less <= noise), lambda: more >= grey),
+    )
+    for one, other in kinds:
+        both = one()
         if np.count_nonzero(both) < LEAST:
             continue
         shared = _count_around(both)
         strokes = both & (shared >= STROKE)
         if strokes.any():
-            found |= strokes & (shared >= np.float32(OVERLAP) * _count_around(either))
+            found |= strokes & (shared >= np.float32(OVERLAP) * _count_around(other()))
     return found if np.count_nonzero(found) <= MOST_DRAWN * found.size else np.zeros_like(found)
 
 

@@ -18,6 +18,7 @@ from featreg.geometry import (
     prediction,
     prediction_covariance,
 )
+from featreg.geometry.correlated import _interval
 from featreg.interfaces import Model
 from featreg.registry import model_class
 
@@ -156,3 +157,29 @@ def test_models_without_derivatives_are_fitted_anew() -> None:
     assert found
     assert math.isnan(found.length)
     assert (np.trace(found.covariance, axis1=1, axis2=2) > 0).all()
+
+
+def test_compiled_sums_are_those_of_each_group() -> None:
+    from featreg.geometry.correlated_kernels import group_normals, group_sums
+
+    rng = np.random.default_rng(6)
+    group, weights = rng.integers(0, 5, 90), rng.uniform(0.5, 2, 90)
+    values, design, error = rng.normal(size=(90, 7)), rng.normal(size=(90, 2, 6)), rng.normal(size=(90, 2))
+    design[:, 0, 3:] = design[:, 1, :3] = 0
+    sums, normal, moment = np.zeros((5, 7)), np.zeros((5, 6, 6)), np.zeros((5, 6))
+    group_sums(values, weights, group, sums)
+    group_normals(design, error, group, normal, moment)
+    for g in range(5):
+        mine = group == g
+        np.testing.assert_allclose(sums[g], weights[mine] @ values[mine], atol=1e-12)
+        rows = design[mine].reshape(-1, 6)
+        np.testing.assert_allclose(normal[g], rows.T @ rows, atol=1e-12)
+        np.testing.assert_allclose(moment[g], rows.T @ error[mine].ravel(), atol=1e-12)
+
+
+def test_the_interval_of_a_mixture_holds_95_percent() -> None:
+    variances, share = np.array([0.01, 1.0, 9.0, 400.0]), np.array([0.2, 0.5, 0.29, 0.01])
+    width = _interval(variances, share)
+    outside = share @ [math.erfc(1.959964 * width / math.sqrt(2 * v)) for v in variances]
+    assert outside == pytest.approx(0.05, abs=1e-9)
+    assert _interval(np.array([4.0]), np.ones(1)) == pytest.approx(2.0, abs=1e-6)
