@@ -9,7 +9,7 @@ __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 # Types and results stand below what draws and warps them; only here are all floors known.
 declare(
-    html="featreg.pictures.interactive:html_of",
-    figure="featreg.pictures.interactive:figure_of",
+    html="featreg.pictures.shown:html_of",
+    figure="featreg.pictures.shown:figure_of",
     warp="featreg.products.in_memory:warp",
 )

@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 from featreg.displacement.cells import MEANINGS, CellGrid, Reason
 from featreg.errors import InputError
 from featreg.results.input_image import InputImage
+from featreg.runtime.optional import import_pandas
+from featreg.runtime.showing import Shown, figure_of
 from featreg.types import BoolArray, FloatArray
 from featreg.types.arrays import ReadOnlyArrays, kept
 
 
 @dataclass(frozen=True, eq=False)
-class Offsets(ReadOnlyArrays):
+class Offsets(ReadOnlyArrays, Shown):
     """The displacement field between two images, on the cells of a grid.
 
     Parameters
@@ -101,6 +103,27 @@ class Offsets(ReadOnlyArrays):
         from featreg.displacement.raster import write_offsets
 
         write_offsets(self, Path(path))
+
+    def plot(self) -> Any:
+        """Return a `matplotlib.figure.Figure`: length and direction, standard error, reasons."""
+        return figure_of(self)
+
+    def summary(self) -> str:
+        """Return the median displacement and how many cells there are of each reason."""
+        return str(self)
+
+    def to_dataframe(self) -> Any:
+        """Return a `pandas.DataFrame` of one row per cell: x, y, dx, dy, peak, snr, reason (a word)."""
+        columns, rows = np.meshgrid(self.x, self.y)
+        made = {"x": columns.ravel(), "y": rows.ravel()}
+        made |= {name: getattr(self, name).ravel() for name in ("dx", "dy", "peak", "snr")}
+        words = np.array([reason.name.lower() for reason in Reason])
+        return import_pandas().DataFrame({**made, "reason": words[self.reason.ravel()]})
+
+    def __repr__(self) -> str:
+        rows, cols = self.grid.cells
+        share = 100 * float(self.good.mean()) if self.good.size else 0.0
+        return f"Offsets({rows} x {cols} cells of {self.grid.step} px, {share:.0f} % measured)"
 
     def __str__(self) -> str:
         """One line a reason that occurs, and the median displacement."""

@@ -14,6 +14,8 @@ from featreg.types import BoolArray
 
 SCALES = ("amplitude", "intensity", "db", "complex")
 DB_RANGE = (-90.0, 60.0)
+#: Share of samples outside that range from which they are no decibels.
+MOST_OUTSIDE = 0.5
 DB_NEGATIVE_SHARE = 0.01
 #: A distribution is that of linear samples where its upper tail (median to 99th percentile) is so many times as long as
 #: its lower one. Speckle of one look: 6 in intensity, 0.4 in decibels; of four 2.2 and 0.7, but where noise was removed
@@ -80,6 +82,8 @@ def real_pixels(
     below = int(np.count_nonzero(negative))
     if scale is None:
         scale = _inferred_scale(values[valid], below, name, said) if below else _without_negatives(values, valid, said)
+    elif scale == "db" and content:
+        _check_decibels(values[valid], name)
     if below and scale == "intensity":
         # What the subtraction of noise leaves below zero is data: ground that is very dark.
         values = np.maximum(values, 0)
@@ -98,6 +102,17 @@ def real_pixels(
     if content:
         check_content(pixels, valid, name)
     return pixels, valid, scale
+
+
+def _check_decibels(values: NDArray[Any], name: str) -> None:
+    """Raise where most samples can be no decibels, as linear ones that somebody calls so."""
+    outside = (values < DB_RANGE[0]) | (values > DB_RANGE[1])
+    if values.size and float(outside.mean()) > MOST_OUTSIDE:
+        raise InputError(
+            f"{name}: scale 'db' cannot be: {100 * float(outside.mean()):.0f} % of the samples lie outside "
+            f"{DB_RANGE[0]:g} to {DB_RANGE[1]:g} dB (they reach from {float(values.min()):.4g} to "
+            f"{float(values.max()):.4g}); leave the scale out, or state amplitude or intensity"
+        )
 
 
 def complex_pixels(

@@ -227,6 +227,7 @@ canvases.forEach((canvas, side) => {
     if (!drag.moved) return;
     if (drag.point >= 0) state.points[drag.point][ROLES[side]] = image(side, place);
     else {
+      if (pending && pending.side !== side) pending.moved = true;
       views[side].x -= (place[0] - drag.last[0]) / views[side].zoom;
       views[side].y -= (place[1] - drag.last[1]) / views[side].zoom;
       follow(side);
@@ -256,6 +257,7 @@ canvases.forEach((canvas, side) => {
   canvas.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || !views) return;
     const move = (dx, dy) => {
+      if (pending && pending.side !== side) pending.moved = true;
       views[side].x += (dx * (event.shiftKey ? 1 : 40)) / views[side].zoom;
       views[side].y += (dy * (event.shiftKey ? 1 : 40)) / views[side].zoom;
       follow(side);
@@ -264,7 +266,11 @@ canvases.forEach((canvas, side) => {
     const action = {
       ArrowLeft: () => move(-1, 0), ArrowRight: () => move(1, 0), ArrowUp: () => move(0, -1), ArrowDown: () => move(0, 1),
       "+": () => zoom(side, 1.3, middle), "=": () => zoom(side, 1.3, middle), "-": () => zoom(side, 1 / 1.3, middle),
-      Enter: () => mark(side, [views[side].x, views[side].y]), Escape: cancel,
+      Enter: () => {
+        // The view has come to where the point is expected: taking that would pull the truth towards the model.
+        if (pending && pending.side !== side && !pending.moved) return say("Move the cross in the middle to the place with the arrows first: what is expected there is no measurement.", true);
+        mark(side, [views[side].x, views[side].y]);
+      }, Escape: cancel,
     }[event.key];
     if (!action) return;
     event.preventDefault();

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,6 +11,9 @@ from featreg.displacement.cells import Reason
 from featreg.displacement.field import Offsets
 from featreg.pictures.figures import written
 from featreg.pictures.sheet import checked_target
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 #: Arrows along the longer side.
 ARROWS = 28
@@ -26,6 +30,11 @@ def draw_offsets(field: Offsets, path: str | Path) -> None:
         The folder is missing or the name does not end in .png.
     """
     checked_target(path)
+    written(offsets_figure(field), path)
+
+
+def offsets_figure(field: Offsets) -> Figure:
+    """Return the picture of a field as a figure of matplotlib."""
     from matplotlib.colors import BoundaryNorm, ListedColormap
     from matplotlib.figure import Figure
 
@@ -55,4 +64,4 @@ def draw_offsets(field: Offsets, path: str | Path) -> None:
     for panel in (length, error, why):
         panel.set_xlabel("column (px)", fontsize=8)
         panel.tick_params(labelsize=8)
-    written(figure, path)
+    return figure

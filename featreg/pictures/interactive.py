@@ -205,13 +205,13 @@ def _kind(made: Table, row: Any, name: str, rivals: Any, best_of: Any) -> str:
 
 @figure_of.register
 def _(image: Image, **options: Any) -> Any:
-    _none_but(options)
+    none_but(options)
     return Sheet([[display(_reduced(image))]], [image.name]).figure()
 
 
 @figure_of.register
 def _(matches: Matches, **options: Any) -> Any:
-    _none_but(options, "reference", "secondary")
+    none_but(options, "reference", "secondary")
     known = [InputImage("array", _extent(xy)) for xy in (matches.reference_xy, matches.secondary_xy)]
     every = np.ones(len(matches), np.bool_)
     plain = Registration(
@@ -226,7 +226,7 @@ def _(matches: Matches, **options: Any) -> Any:
 
 @figure_of.register
 def _(registration: Registration, **options: Any) -> Any:
-    _none_but(options, "reference", "secondary", "truth")
+    none_but(options, "reference", "secondary", "truth")
     images = _images(registration, options.get("reference"), options.get("secondary"))
     if images is not None:
         return registration_sheet(*images, registration, options.get("truth")).figure()
@@ -235,17 +235,18 @@ def _(registration: Registration, **options: Any) -> Any:
 
 @figure_of.register
 def _(made: Table, **options: Any) -> Any:
-    _none_but(options, "metrics")
+    none_but(options, "metrics")
     return charts.comparison(made, options.get("metrics"))
 
 
 @figure_of.register
 def _(study: Study, **options: Any) -> Any:
-    _none_but(options, "metrics")
+    none_but(options, "metrics")
     return charts.comparison(study.table(), options.get("metrics"))
 
 
-def _none_but(options: Any, *known: str) -> None:
+def none_but(options: Any, *known: str) -> None:
+    """Raise where an option is given that this figure does not know."""
     unknown = sorted(set(options) - set(known))
     if unknown:
         raise ParameterError(f"unknown option '{unknown[0]}'; known: {', '.join(known) or 'none'}")

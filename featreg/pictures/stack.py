@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from featreg.pictures.figures import written
 from featreg.pictures.sheet import checked_target
 from featreg.stacks.stack import Stack
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 #: Blue and vermillion, told apart by colour-blind eyes, and gray.
 ALONG_X, ALONG_Y, FAINT = "#0072b2", "#d55e00", "#888888"
@@ -23,6 +27,11 @@ def draw_stack(stack: Stack, path: str | Path) -> None:
         The folder is missing or the name does not end in .png.
     """
     checked_target(path)
+    written(stack_figure(stack), path)
+
+
+def stack_figure(stack: Stack) -> Figure:
+    """Return the picture of a stack as a figure of matplotlib."""
     from matplotlib.figure import Figure
 
     rows = stack.rows()
@@ -60,4 +69,4 @@ def draw_stack(stack: Stack, path: str | Path) -> None:
     words = f"{kept} of {len(stack.names)} images on the grid of {Path(stack.names[stack.reference]).stem}"
     words += f", pairs thrown out: {len(stack.rejected)}, jumps: {len(stack.jumps)}"
     figure.suptitle(words, fontsize=11)
-    written(figure, path)
+    return figure

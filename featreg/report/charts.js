@@ -7,13 +7,24 @@ const MARKERS = [
   "M0 5L5 -4H-5Z", "M-5 -1.5H-1.5V-5H1.5V-1.5H5V1.5H1.5V5H-1.5V1.5H-5Z", "M-4.5 -3L0 0L-4.5 3M4.5 -3L0 0L4.5 3", "M-5 -5L5 5M-5 5L5 -5",
 ];
 const kindOf = (name) => Math.max(0, study.methods.indexOf(name));
+// There are eight colours: the ninth method has the first one's, with another dash and another marker.
+const dashOf = (k) => DASHES[(k + (k >> 3)) % 8];
 const marker = (k, x, y, extra = {}) =>
-  shape("path", { class: `mark c${k % 8}`, d: MARKERS[k % 8], transform: `translate(${x} ${y})`, ...extra });
+  shape("path", { class: `mark c${k % 8}`, d: MARKERS[(k + 3 * (k >> 3)) % 8], transform: `translate(${x} ${y})`, ...extra });
 
 /** The marker of a method in running text. */
 const swatch = (k) =>
   shape("svg", { class: "swatch", viewBox: "-13 -6 26 12", "aria-hidden": "true" },
-    shape("path", { class: `line c${k % 8}`, d: "M-13 0H13", "stroke-dasharray": DASHES[k % 8] }), marker(k, 0, 0));
+    shape("path", { class: `line c${k % 8}`, d: "M-13 0H13", "stroke-dasharray": dashOf(k) }), marker(k, 0, 0));
+
+/** What tells a method from the others: of a sweep its own values, without the names of the parts. */
+function shortName(name) {
+  const common = (word) => study.methods.length > 1 && study.methods.every((other) => other.split(" ").includes(word));
+  const own = name.split(" ").filter((word) => !common(word)).join(" ") || name;
+  const bare = own.replace(/(^| )[\w-]+\.(?=[\w-]+=)/g, "$1");
+  const short = own.length > 20 ? bare : own;
+  return short.length > 24 ? `${short.slice(0, 11)}…${short.slice(-12)}` : short;
+}
 
 const legend = (names) =>
   el("ul", { class: "legend" }, ...names.map((name) => el("li", {}, swatch(kindOf(name)), name)));
@@ -76,7 +87,7 @@ function curveChart() {
   for (const name of names) {
     const k = kindOf(name), line = study.curves[name];
     const group = shape("g", {}, shape("title", {}, name));
-    group.append(shape("path", { class: `line c${k % 8}`, "stroke-dasharray": DASHES[k % 8], d: line.map((v, i) => `${i ? "L" : "M"}${x(i + 1)} ${y(v)}`).join("") }));
+    group.append(shape("path", { class: `line c${k % 8}`, "stroke-dasharray": dashOf(k), d: line.map((v, i) => `${i ? "L" : "M"}${x(i + 1)} ${y(v)}`).join("") }));
     line.forEach((v, i) => group.append(marker(k, x(i + 1), y(v))));
     root.append(group);
   }
@@ -150,7 +161,7 @@ function intervalChart() {
       titleOf(column) + (column.better ? `, ${column.better === "high" ? "more" : "less"} is better` : "")));
     names.forEach((name, i) => {
       const [mean, from, to] = all[i], y = 24 + i * step, k = kindOf(name);
-      root.append(shape("text", { class: "label", x: left - 14, y: y + 4, "text-anchor": "end" }, name.length > 20 ? `${name.slice(0, 19)}…` : name, shape("title", {}, name)));
+      root.append(shape("text", { class: "label", x: left - 14, y: y + 4, "text-anchor": "end" }, shortName(name), shape("title", {}, name)));
       if (mean === null) return root.append(shape("text", { class: "tickmark", x: left, y: y + 4 }, "no value"));
       if (from !== null) root.append(shape("path", { class: `line c${k % 8}`, d: `M${x(from)} ${y}H${x(to)}M${x(from)} ${y - 6}V${y + 6}M${x(to)} ${y - 6}V${y + 6}` }));
       root.append(marker(k, x(mean), y), shape("text", { class: "value", x: W - right + 14, y: y + 4 }, spreadText(all[i])));
@@ -188,7 +199,7 @@ function timeChart() {
   rows.forEach((row, i) => {
     const y = 10 + i * step;
     let sum = 0;
-    root.append(shape("text", { class: "label", x: left - 10, y: y + 17, "text-anchor": "end" }, row.name.length > 20 ? `${row.name.slice(0, 19)}…` : row.name));
+    root.append(shape("text", { class: "label", x: left - 10, y: y + 17, "text-anchor": "end" }, shortName(row.name)));
     parts(row).forEach((seconds, s) => {
       const wide = x(sum + seconds) - x(sum);
       if (seconds > 0) {
@@ -262,7 +273,9 @@ function heatMap() {
     columns.forEach((text, i) => root.append(shape("text", { class: "tickmark", x: left + (i + 0.5) * wide, y: lines.length * tall + 26, "text-anchor": "middle" }, text)));
     root.append(shape("text", { class: "title", x: left + (columns.length * wide) / 2, y: height - 8, "text-anchor": "middle" }, parameters[across][0]));
     if (!one) root.append(shape("text", { class: "title", transform: `translate(14 ${8 + (lines.length * tall) / 2}) rotate(-90)`, "text-anchor": "middle" }, parameters[down][0]));
-    holder.replaceChildren(root);
+    const winners = better ? cells.flatMap((line, j) => line.map((value, i) => (value === best ? [i, j] : null)).filter(Boolean)) : [];
+    const place = ([i, j]) => [`${parameters[across][0]} = ${columns[i]}`, one ? null : `${parameters[down][0]} = ${lines[j]}`].filter(Boolean).join(", ");
+    holder.replaceChildren(root, winners.length ? el("p", { class: "note" }, `best ${name}: ${number(best)} at ${winners.slice(0, 3).map(place).join("; ")}${winners.length > 3 ? " and others" : ""}`) : "");
     rest.replaceChildren(...parameters.map(([text, values], p) => p === across || p === down ? null
       : dropdown(text, [["mean", "mean over all"], ...values.map((v, i) => [i, v])], state.held[p], (v) => { state.held[p] = v; draw(); })).filter(Boolean));
   }

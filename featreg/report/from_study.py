@@ -118,7 +118,7 @@ def _table(table: Table) -> ReportTable:
 def _differences(table: Table) -> dict[str, dict[str, Any]]:
     if len(table.methods) < 2:
         return {}
-    return {m: {n: (i.mean, i.low, i.high) for n, i in row.items()} for m, row in table.differences().items()}
+    return {m: {n: (i.mean, *_told(i)) for n, i in row.items()} for m, row in table.differences().items()}
 
 
 def _spreads(found: Mapping[str, Mapping[str, Interval]]) -> dict[str, dict[str, Any]]:
@@ -126,7 +126,7 @@ def _spreads(found: Mapping[str, Mapping[str, Interval]]) -> dict[str, dict[str,
 
     def spread(name: str, i: Interval) -> tuple[float | None, float | None, float | None]:
         flattering = i.missing > 0 and metric_of(name).better == "lower"
-        return (None, None, None) if flattering else (i.mean, i.low, i.high)
+        return (None, None, None) if flattering else (i.mean, *_told(i))
 
     return {method: {name: spread(name, i) for name, i in row.items()} for method, row in found.items()}
 
@@ -169,3 +169,8 @@ def _notes(table: Table) -> tuple[dict[str, Any], dict[str, Any]]:
         else:
             protocol[name] = text
     return protocol, machine
+
+
+def _told(found: Interval) -> tuple[float | None, float | None]:
+    """The bounds of an interval, none where too few pairs stand behind it, as in every printed table."""
+    return (found.low, found.high) if found.told else (None, None)

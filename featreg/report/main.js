@@ -115,7 +115,7 @@ function start() {
   theme();
   verdict();
   const tables = [summaryTable(), differenceTable(), runsTable()].filter(Boolean);
-  const charts = [intervalChart(), timeChart(), curveChart(), scatterChart(), heatMap()].filter(Boolean);
+  const charts = [heatMap(), intervalChart(), timeChart(), curveChart(), scatterChart()].filter(Boolean);
   chartDownloads(charts);
   const sections = [
     tables.length ? section("results", "Results", el("p", { class: "note" }, "★ marks the best of its column, among the methods on the same pair; – stands for a mean that would leave out pairs the method gave up; headings sort. Why a result is not trusted stands whole under Failures and refusals."), tableDownloads(), ...tables) : null,

@@ -11,6 +11,7 @@ import numpy as np
 
 from featreg.interfaces import Model
 from featreg.runtime.optional import import_pandas
+from featreg.runtime.showing import Shown, figure_of
 from featreg.stacks.closure import Loop
 from featreg.stacks.jumps import Jump
 from featreg.stacks.pairs import StackPair
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Stack:
+class Stack(Shown):
     """Many images on the grid of one.
 
     Parameters
@@ -183,6 +184,19 @@ class Stack:
         from featreg.stacks.stack_file import read_stack
 
         return read_stack(Path(path), cls)
+
+    def plot(self) -> Any:
+        """Return a `matplotlib.figure.Figure`: shift, rotation and closure over time."""
+        return figure_of(self)
+
+    def summary(self) -> str:
+        """Return what `explain` says."""
+        return self.explain()
+
+    def __repr__(self) -> str:
+        kept = sum(status == "ok" for status in self.status)
+        height, width = self.shape
+        return f"Stack({kept} of {len(self.names)} images on {width} x {height} px, {len(self.pairs)} pairs)"
 
     def __str__(self) -> str:
         return self.explain()

@@ -158,6 +158,15 @@ def test_stated_scales() -> None:
     np.testing.assert_allclose(as_image(GRAY, scale="intensity").pixels, np.sqrt(amplitude), rtol=1e-6)
 
 
+def test_decibels_that_cannot_be_are_refused() -> None:
+    linear = np.random.default_rng(3).gamma(4, 50, (40, 40)).astype(np.float32)
+    with pytest.raises(InputError, match=r"scale 'db' cannot be: \d+ % of the samples lie outside -90 to 60 dB"):
+        as_image(linear, scale="db")
+    low = np.random.default_rng(3).normal(-12, 4, (40, 40)).astype(np.float32)
+    low[:5] = -9999.0  # an undeclared fill is no reason
+    assert as_image(low, scale="db").scale == "db"
+
+
 def test_decibels_are_recognised_with_a_warning(caplog: pytest.LogCaptureFixture) -> None:
     backscatter = np.random.default_rng(2).normal(-12, 6, (50, 50)).astype(np.float32)
     backscatter[0, 0] = -np.inf

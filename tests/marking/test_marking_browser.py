@@ -134,6 +134,10 @@ def test_points_are_marked_by_keyboard_alone(page: Any, session: Session) -> Non
     first.press("Enter")
     page.get_by_text("Now the same place in the secondary").wait_for()
     second.focus()
+    # What the page expects there is no measurement, so that the cross must have been moved.
+    second.press("Enter")
+    page.get_by_text("what is expected there is no measurement").wait_for()
+    assert page.locator("#points tr").count() == 0
     second.press("ArrowRight")
     second.press("Enter")
     page.locator("#points tr").first.wait_for()

@@ -560,3 +560,28 @@ def test_the_page_of_one_result_has_no_violation_that_axe_knows(
     seen = visit(path=tmp_path / "view.html")
     seen.viewer("Swipe")
     accessible(seen.page)
+
+
+def test_a_sweep_begins_with_its_map_and_tells_its_combinations_apart(
+    visit: Callable[..., Visit], sar_texture: Make, tmp_path: Path
+) -> None:
+    study = study_of(sar_texture)
+    names = {m: f"sar-orb fsc.threshold={k} gms.thresholding=20" for k, m in enumerate(("alpha", "beta", "gamma"))}
+    table = study.table
+    renamed = replace(
+        study,
+        entries=[replace(entry, method=names[entry.method]) for entry in study.entries],
+        table=replace(
+            table,
+            rows=[{**row, "method": names[row["method"]]} for row in table.rows],
+            intervals={names[m]: means for m, means in table.intervals.items()},
+            differences={},
+            baseline="",
+        ),
+    )
+    write_report(tmp_path / "sweep.html", renamed)
+    page = visit(path=tmp_path / "sweep.html").page
+    assert page.locator("#charts h3").first.inner_text().startswith("Sweep")
+    assert "best ncm: 5 at" in page.locator("#charts figure").first.inner_text()
+    labels = page.locator("#charts .label").evaluate_all("all => all.map((one) => one.firstChild.textContent)")
+    assert {"fsc.threshold=0", "fsc.threshold=1", "fsc.threshold=2"} <= set(labels)
