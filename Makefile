@@ -1,5 +1,5 @@
-# make demo   make test   make test-fast   make test-opencv4   make docs   make bench   make kernels   make table2
-# make table3   make figures   make clean
+# make demo   make test   make test-fast   make test-opencv4   make test-python   make docs   make bench
+# make kernels   make table2   make table3   make figures   make clean
 #
 # Needs only a Python 3.11 to 3.13 with venv (PYTHON=python3.12 make ... for another one) and the package index. Each
 # target makes .venv when it is missing and installs again when pyproject.toml changed.
@@ -15,7 +15,7 @@ PLUGIN_TESTS := tests/test_registry.py tests/test_presets.py tests/interop/test_
 	tests/interop/test_opencv_networks.py tests/detectors tests/descriptors tests/matchers
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: demo test test-fast test-opencv4 lint docs bench kernels table2 table3 figures clean
+.PHONY: demo test test-fast test-opencv4 test-python lint docs bench kernels table2 table3 figures clean
 .DELETE_ON_ERROR:
 
 demo: $(VENV)/.installed
@@ -31,6 +31,11 @@ test-fast: $(VENV)/.installed-dev
 test-opencv4: $(VENV)/.installed-dev $(OPENCV4)/.installed
 	PYTHONPATH=$(OPENCV4) $(BIN)/python -c 'import cv2; assert cv2.__version__.startswith("4.10"), cv2.__file__'
 	PYTHONPATH=$(OPENCV4) $(BIN)/python -m pytest -q -n $(WORKERS) -m "not slow and not realdata" $(PLUGIN_TESTS)
+
+# A few of them with another Python and no extras: make test-python PYTHON=python3.13 VENV=.venv-3.13
+test-python: $(VENV)/.installed
+	$(PIP) install --quiet "pytest>=8,<10" "pytest-xdist>=3.5,<4"
+	$(BIN)/python -m pytest -q -n $(WORKERS) -m "not slow and not realdata" tests/test_registry.py tests/descriptors
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
@@ -59,7 +64,7 @@ figures: $(VENV)/.installed
 	$(BIN)/python benchmarks/draw_figures.py --out figures.html
 
 clean:
-	rm -rf $(VENV) $(OPENCV4) build dist featreg.egg-info featreg-demo .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) .venv-* $(OPENCV4) build dist featreg.egg-info featreg-demo .pytest_cache .mypy_cache .ruff_cache
 	find featreg detectors descriptors matchers tests benchmarks -name __pycache__ -prune -exec rm -rf {} +
 
 $(BIN)/python:
