@@ -1,7 +1,7 @@
 """How often a result is trusted that must not be, and how often one is refused that is right.
 
     python benchmarks/trust.py [--pairs 200] [--methods a,b] [--features 5000] [--model affine] [--workers 2] [--seed 0]
-                               [--draws 0]
+                               [--draws 0] [--unrelated 0]
 
 Unrelated pairs are crops of different places: every "ok" is wrong. Related pairs are crops of two dates of one place,
 the second warped by a known affine: "ok" with a model farther than 3 px from the truth is wrong, and a refused one is a
@@ -9,6 +9,9 @@ loss. Real images come from the folder that FEATREG_DATA names, else the landsca
 
 `--draws N` adds N related pairs of every difficulty (`trials.py`), five combinations of method and model on each: how
 far off is what is "ok", what do the results say of their own error, and how many right ones are refused.
+
+`--unrelated N` adds N crops of different places, each tried by the next of the methods of `trials.py` with a model drawn
+at random, translation among them: none may be "ok".
 """
 
 from __future__ import annotations
@@ -26,7 +29,7 @@ from typing import Any
 import numpy as np
 from measuring import machine, on_one_thread, random_affine, real_scenes, table, warped
 from numpy.typing import NDArray
-from trials import all_scenes, errors, trial
+from trials import METHODS, MODELS, all_scenes, errors, trial
 
 import featreg
 from featreg.simulate import sar_pair
@@ -118,6 +121,18 @@ def drawn(number: int, *, seed: int) -> list[tuple[str, str, str, float, float, 
     return rows
 
 
+def alone(number: int, *, seed: int) -> tuple[str, str, str]:
+    """Try unrelated pair `number`: (method, model, status)."""
+    rng = np.random.default_rng([seed, number, 2])
+    reference, secondary, _ = unrelated(rng, _found(seed))
+    method, model = METHODS[number % len(METHODS)], str(rng.choice(("translation", *MODELS)))
+    try:
+        result = featreg.match(reference, secondary, method=method, model=model, seed=0, nodata=nodata(reference))
+    except featreg.FeatregError:
+        return method, model, "unreliable"
+    return method, model, result.status
+
+
 def of_draws(found: list[tuple[str, str, str, float, float, float, str]]) -> list[Any]:
     """One row of the table of the trials."""
     ok = [row for row in found if row[2] == "ok"]
@@ -158,6 +173,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--draws", type=int, default=0, help="related pairs of every difficulty, five trials on each")
+    parser.add_argument("--unrelated", type=int, default=0, help="crops of different places, over methods and models")
     parser.add_argument("--list", action="store_true", help="print every trial of the draws")
     given = parser.parse_args()
     rows: list[list[Any]] = []
@@ -165,6 +181,7 @@ def main() -> None:
     with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn")) as pool:
         of_each = pool.map(partial(drawn, seed=given.seed), range(given.draws))
         trials = [row for rows_of_one in of_each for row in rows_of_one]
+        strangers = list(pool.map(partial(alone, seed=given.seed), range(given.unrelated), chunksize=4))
         for method in given.methods.split(",") if given.pairs else ():
             for kind in ("unrelated", "related"):
                 task = partial(
@@ -180,6 +197,10 @@ def main() -> None:
     if trials:
         print(f"## Related pairs of every difficulty\n\n{given.draws} draws, seed {given.seed}\n")
         print(table(DRAWN, [of_draws(trials)]), end="\n\n")
+    if strangers:
+        fooled = [f"{method} {model}" for method, model, status in strangers if status == "ok"]
+        print(f"## Unrelated pairs over methods and models\n\n{len(strangers)} pairs, seed {given.seed}: ", end="")
+        print(f"{len(fooled)} ok{': ' if fooled else ''}{'; '.join(fooled)}\n")
     if given.list:
         print(table(("method", "model", "status", "overlap", "image", "stated", "reason"), trials), end="\n\n")
     if not given.pairs:

@@ -14,6 +14,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "unreliable.md"
 #: Limits that are not those of `Limits`, and in words where a number alone does not tell.
 SAID = {
     "prior": "at most `search_radius`",
+    "stability": f"at most {Limits().stability_px:g}, and at most {Limits().stability_by_spread_px:g} times `spread`",
     "drift": f"at most {Limits().drift_px:g}",
     "search": "at most 0.6 of the prior's uncertainty",
     "distortion": "only where the method states one",
