@@ -8,10 +8,10 @@ the second warped by a known affine: "ok" with a model farther than 3 px from th
 loss. Real images come from the folder that FEATREG_DATA names, else the landscapes are simulated.
 
 `--draws N` adds N related pairs of every difficulty (`trials.py`), five combinations of method and model on each: how
-far off is what is "ok", what do the results say of their own error, and how many right ones are refused.
+far off is what is "ok", what do the results say of their own error, and how many right ones are refused?
 
-`--unrelated N` adds N crops of different places, each tried by the next of the methods of `trials.py` with a model drawn
-at random, translation among them: none may be "ok".
+`--unrelated N` adds N crops of different places, each tried by the next of the methods of `trials.py` with a model
+drawn at random, translation too: none may be "ok".
 """
 
 from __future__ import annotations
