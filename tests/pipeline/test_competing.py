@@ -247,6 +247,26 @@ def test_images_of_one_scene_stay_ok(case: str) -> None:
     assert result.model(np.array([[150.0, 150.0]]))[0] - [150, 150] == pytest.approx(shift, abs=0.3)
 
 
+def test_windows_that_drift_together_tell_a_model_that_is_right_in_one_part_only() -> None:
+    ground = scene(10)
+    a, b = as_image(seen(ground, 1)), as_image(seen(ground, 2))
+    # A stretch of 3 % about (80, 80), where it is right.
+    stretched = Affine(np.array([[1.03, 0.0, -0.03 * 80], [0.0, 1.03, -0.03 * 80]]))
+    right, wrong, other = (Agreement.of(a, b, model) for model in (Translation(0, 0), stretched, Translation(40, 30)))
+    assert right
+    assert wrong
+    assert other
+    here = wrong.windows.xy[wrong.windows.peaked]
+    expected = np.sqrt(((stretched(here) - here) ** 2).sum(axis=1).mean()) / 1.03
+    assert expected > 4
+    assert wrong.windows.drift == pytest.approx(expected, rel=0.1)
+    assert right.windows.drift == pytest.approx(0, abs=0.3)
+    assert right.windows.log10_chance(6) < -20
+    assert other.windows.log10_chance(6) > -2
+    # The more a model can do, the more windows follow one by chance.
+    assert right.windows.log10_chance(12) > right.windows.log10_chance(6)
+
+
 @pytest.mark.parametrize("model", [Affine(np.array([[0.98, 0.1, 3.3], [-0.1, 1.02, -4.6]])), TURNED_HOMOGRAPHY])
 def test_every_other_pixel_of_a_resampled_view(model: Model) -> None:
     """At a stride of 1 the whole view; at 2 what lies between its pixels."""
