@@ -39,8 +39,6 @@ FAR_PX, BETTER = 1.75, 1.15
 TOGETHER_PX = 2.5
 #: Fewest windows by which a drift is told, and displacements from their common field that are not told apart, px.
 LEAST_DRIFT, DRIFT_SCALE_PX = 8, 2.0
-#: Windows lie half a window apart, so that four of them see what one sees by itself.
-SHARED = 4
 #: Along each axis, how far a refinement may have moved what it was given, px: so many models it chose from.
 CHOSEN_PX = 6.0
 #: Shifts of the whole image within this many samples of none belong to the peak of the model itself.
@@ -109,9 +107,12 @@ class Windows:
         their peak within `FAR_PX` of the model, each by chance with the share of that disc in the search, and the model
         is one of those that a refinement may have chosen.
         """
-        n, k = int(self.inside.sum()) / SHARED, int(self.agree.sum()) / SHARED
-        if not k:
+        count = int(self.inside.sum())
+        if not self.agree.any():
             return 0.0
+        # Windows lie half a window apart: a square of s x s of them covers the area of ((s + 1) / 2)^2.
+        n = (math.sqrt(count) + 1) ** 2 / 4
+        k = n * int(self.agree.sum()) / count
         search = (2 * SEARCH + 1) * 2 * self.reach / (2 * HALF + 1)
         p = math.pi * FAR_PX**2 / search**2
         models = 0.5 * parameters * math.log10(max(1.0, (2 * CHOSEN_PX + 1) ** 2 / (math.pi * FAR_PX**2)))

@@ -19,7 +19,7 @@ LEAST, MOST = 20, 0.7
 EXCESS = 4.0
 #: Share of a 9 x 9 square that is identical where an area is, whatever its values.
 DENSE = 0.6
-#: Share of the black pixels of either image that are black in both, where they were drawn.
+#: Share of the black or saturated pixels of either image that are so in both, where they were drawn.
 SHARED_DARK = 0.7
 #: What was drawn before images were compressed with losses lies on both, among their brightest tenth: samples from this
 #: share of the largest on, or from the second on and so near to each other; or it is darker than a share of the median.
@@ -30,6 +30,8 @@ SAMPLES = 4000
 #: of either image that both have. Bright targets and speckle of two places overlap by less. A drawing covers no more of
 #: the image than the last.
 AROUND, STROKE, OVERLAP, MOST_DRAWN = 7, 12, 0.7, 0.3
+#: Squares that both fill to at most this share lie on an outline, and the share of these that must be alike.
+OUTLINE, SAME_OUTLINE = 0.8, 0.6
 #: So far around a drawing compression with losses leaves traces of it, px.
 RINGING = 9
 #: Side of the squares whose means are compared around the identical pixels, and how alike they are where the images
@@ -100,10 +102,11 @@ def _beyond_chance(same: BoolArray, a: F32, b: F32) -> BoolArray:
     """Of the pixels that are equal, those in areas where nearly all are, or of values that meet too often."""
     import cv2
 
-    dark, both = same & (a == 0), max(np.count_nonzero(a == 0), np.count_nonzero(b == 0))
-    if np.count_nonzero(dark) < SHARED_DARK * both:
-        # Shadow and calm water quantised to 0 overlap by chance; what was drawn in black has one outline.
-        same = same & ~dark
+    for value in (a.dtype.type(0), max(a.max(), b.max())):
+        extreme, most = same & (a == value), max(np.count_nonzero(a == value), np.count_nonzero(b == value))
+        if np.count_nonzero(extreme) < SHARED_DARK * most:
+            # Calm water quantised to 0 and saturated targets overlap by chance; what was drawn has one outline.
+            same = same & ~extreme
     dense = cv2.boxFilter(same.astype(np.float32), -1, (9, 9), borderType=cv2.BORDER_REPLICATE) >= DENSE
     values, counts = np.unique(a[same], return_counts=True)
     often = values[counts >= LEAST]
@@ -131,19 +134,27 @@ def _drawn(reference: Image, secondary: Image) -> BoolArray:
     top = float(more.max())
     grey, white = (np.float32(max(bright, share * top)) for share in (DRAWN_GREY, DRAWN_BRIGHT))
     noise = np.float32(GREY_NOISE * top)
-    kinds: tuple[tuple[Masked, Masked], ...] = (
-        (lambda: mask & (more <= dark), lambda: mask & (less <= dark)),
-        (lambda: less >= white, lambda: more >= white),
-        (lambda: (less >= grey) & (more - less <= noise), lambda: more >= grey),
+    kinds: tuple[tuple[str, Masked, Masked], ...] = (
+        ("dark", lambda: mask & (more <= dark), lambda: mask & (less <= dark)),
+        ("white", lambda: less >= white, lambda: more >= white),
+        ("grey", lambda: (less >= grey) & (more - less <= noise), lambda: more >= grey),
     )
-    for one, other in kinds:
+    for level, one, other in kinds:
         both = one()
-        if np.count_nonzero(both) < LEAST:
+        count = np.count_nonzero(both)
+        if count < LEAST:
+            continue
+        if level == "dark" and count < SHARED_DARK * max(np.count_nonzero(mask & (v <= dark)) for v in (first, second)):
             continue
         shared = _count_around(both)
         strokes = both & (shared >= STROKE)
-        if strokes.any():
-            found |= strokes & (shared >= np.float32(OVERLAP) * _count_around(other()))
+        if not strokes.any():
+            continue
+        alike = strokes & (shared >= np.float32(OVERLAP) * _count_around(other()))
+        # Two lakes, or two bright fields, overlap inside; a drawing has the same outline on both.
+        outline = strokes & (shared <= OUTLINE * (2 * AROUND + 1) ** 2)
+        if np.count_nonzero(alike & outline) > SAME_OUTLINE * np.count_nonzero(outline):
+            found |= alike
     return found if np.count_nonzero(found) <= MOST_DRAWN * found.size else np.zeros_like(found)
 
 

@@ -89,6 +89,19 @@ def test_what_was_drawn_before_compression_with_losses_is_found(kind: str, quali
     assert featreg.match(*images, method="rift").status == "unreliable"
 
 
+def test_lakes_and_bright_fields_that_overlap_are_no_drawing() -> None:
+    rng = np.random.default_rng(2)
+    for value in (0.0, 900.0):
+        images = []
+        for seed in (1, 2):
+            area = gaussian_filter(rng.normal(0, 1, (SIDE, SIDE)), 25)
+            images.append(np.where(area > np.quantile(area, 0.75), np.float32(value), seen(scene(seed), seed)))
+        both = (images[0] == value) & (images[1] == value)
+        assert both.sum() > 2000
+        found = identical_pixels(*(as_image(image, nodata=-1) for image in images))
+        assert found is None or (found & both).sum() < 0.5 * both.sum()
+
+
 @pytest.mark.parametrize("method", ["rift-paper", "sift", "sar-dense"])
 def test_tie_points_do_not_slide_along_a_frame(method: str) -> None:
     """Both of their ends lay on the drawing, at different places."""
