@@ -15,7 +15,11 @@ from featreg.geometry import Affine, Homography, Translation
 from featreg.interfaces import Model
 from featreg.io import as_image
 from featreg.pipeline.agreement import Agreement
+from featreg.pipeline.competing import agreement_gates, rival_gate
 from featreg.pipeline.identical import identical_pixels, without_identical
+from featreg.pipeline.steps import Draft
+from featreg.pipeline.trust import Limits
+from featreg.types import Matches
 
 F32 = NDArray[np.float32]
 SIDE = 400
@@ -218,6 +222,47 @@ def test_one_ringing_spot_is_one_tie_point(method: str) -> None:
         assert result.model(np.array([[91.0, 101.0], [20, 20]])) == pytest.approx(
             np.array([[96, 104], [25, 23]]), abs=1
         )
+
+
+@pytest.mark.parametrize("ships", [1, 2, 6])
+@pytest.mark.parametrize("method", ["rift", "rift-paper"])
+def test_ships_on_a_quiet_sea_are_few_tie_points(method: str, ships: int) -> None:
+    """Samples of a few grey levels: the ringing around each ship is everywhere, and half a turn leaves it the same."""
+    rng = np.random.default_rng(ships)
+    images = []
+    centres = rng.integers(30, 170, (ships, 2))
+    for dx, dy in ((0, 0), (5, 3)):
+        sea = np.rint(6 * np.sqrt(rng.gamma(30, 1 / 30, (200, 200)))).astype(np.uint8)
+        for x, y in centres:
+            cv2.rectangle(sea, (int(x) + dx, int(y) + dy), (int(x) + dx + 3, int(y) + dy + 2), 70, -1)
+        images.append(sea)
+    result = featreg.match(*images, method=method)
+    if result.status == "ok":
+        assert result.model
+        here = np.array([[20.0, 20], [180, 20], [100, 180]])
+        assert result.model(here) == pytest.approx(here + np.array([5, 3]), abs=1)
+
+
+def test_where_the_refinement_found_nothing_less_may_speak_against_a_model() -> None:
+    ground = scene(5)
+    moved = ground.copy()
+    moved[60:160, 60:160] = np.roll(ground, 8, 0)[60:160, 60:160]
+    a, b = as_image(seen(ground, 1)), as_image(seen(moved, 2))
+    rng = np.random.default_rng(0)
+    here = rng.uniform(10, 390, (300, 2))
+    matches = Matches(here, here, np.ones(300))
+    every = np.ones(300, np.bool_)
+    limits = Limits()
+    for useful in (True, False):
+        stages = {"fsc": every, "refine": every & useful}
+        draft = Draft(matches, stages, every, every, every, Translation(0, 0))
+        gates, _ = agreement_gates(draft, a, b, limits, refined=useful)
+        share = 1.0 if useful else 0.5
+        assert gates["local"].high == share * limits.local
+        assert ("the refinement found nothing" in gates["local"].meaning) == (not useful)
+        assert rival_gate(draft, (a.shape, b.shape), limits, 0)["rival"].high == share * limits.rival
+        assert gates["local"].value is not None
+        assert gates["local"].value > 0.05
 
 
 @pytest.mark.parametrize("seed", [1, 2])
