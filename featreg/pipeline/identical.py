@@ -170,7 +170,9 @@ def _count_around(which: BoolArray) -> NDArray[np.uint8]:
 def _likeness(reference: Image, secondary: Image, same: BoolArray) -> float:
     """Correlation of the local contrasts of two images on one grid, without the pixels of `same`; 1 where none is left.
 
-    Means over squares of 8 px, less their surroundings of about 40 px, in logarithms: neither speckle nor shading.
+    Means over squares of 8 px, less their surroundings of about 40 px, in logarithms: neither speckle nor shading. 0
+    where the images agree better when one is moved by more than a square: large structures of one scene still correlate
+    on their new places.
     """
     import cv2
 
@@ -187,7 +189,7 @@ def _likeness(reference: Image, secondary: Image, same: BoolArray) -> float:
     good = weight >= 0.25
     if np.count_nonzero(good) < 0.1 * good.size:
         return 1.0
-    contrasts: list[FloatArray] = []
+    maps: list[FloatArray] = []
     for image in (reference, secondary):
         level = means(image.amplitude * use) / np.maximum(weight, 1e-6)
         floor = 1e-2 * float(level[good].mean()) + 1e-30
@@ -195,11 +197,23 @@ def _likeness(reference: Image, secondary: Image, same: BoolArray) -> float:
         around = cv2.GaussianBlur(view, (0, 0), 2.5) / np.maximum(
             cv2.GaussianBlur(good.astype(np.float32), (0, 0), 2.5), 1e-6
         )
-        contrasts.append((view - around)[good].astype(np.float64))
-    if min(contrast.std() for contrast in contrasts) < 1e-6:
+        left = np.where(good, view - around, 0).astype(np.float64)
+        maps.append(np.where(good, left - left[good].mean(), 0))
+    if min(contrast[good].std() for contrast in maps) < 1e-6:
         # Nothing but the identical pixels is there to disagree.
         return 1.0
-    return float(np.corrcoef(contrasts[0], contrasts[1])[0, 1])
+    likeness = float(np.corrcoef(maps[0][good], maps[1][good])[0, 1])
+    return 0.0 if likeness >= ALIKE and _better_elsewhere(maps[0], maps[1]) else likeness
+
+
+def _better_elsewhere(first: FloatArray, second: FloatArray) -> bool:
+    """Whether two maps correlate better when one is moved by two samples or more than where they lie."""
+    shape = tuple(2 * n for n in first.shape)
+    product = np.fft.irfft2(np.fft.rfft2(first, shape).conj() * np.fft.rfft2(second, shape), shape)
+    product = np.roll(product, (1, 1), (0, 1))
+    here = product[:3, :3].max()
+    product[:3, :3] = -np.inf
+    return bool(product.max() > here)
 
 
 def _detail(reference: Image, secondary: Image, same: BoolArray) -> float:

@@ -133,6 +133,18 @@ def test_only_the_drawing_and_its_rim_become_invalid() -> None:
     assert without_identical(a, b, everything)[0] is a
 
 
+def test_large_structures_that_overlap_themselves_are_no_agreement_of_the_surroundings() -> None:
+    """A scene moved by less than its fields are wide, and a label that was not."""
+    rng = np.random.default_rng(12)
+    broad = gaussian_filter(rng.normal(0, 1, (440, 440)), 12)
+    ground = np.asarray(60 * np.exp(0.8 * broad / broad.std()), np.float32)
+    mark = marked("frame and label")
+    for moved, marks in ((16, True), (0, False)):
+        there = ground[moved : SIDE + moved, moved : SIDE + moved]
+        images = [np.where(mark, np.float32(900), seen(g, s)) for g, s in ((ground[:SIDE, :SIDE], 1), (there, 2))]
+        assert (identical_pixels(*(as_image(image) for image in images)) is not None) == marks
+
+
 def test_a_fixed_pattern_on_unrelated_images_does_not_vote() -> None:
     gain = np.random.default_rng(3).normal(1, 0.5, (SIDE, SIDE)).clip(0.2, 3)
     a, b = ((seen(scene(s), s) * gain).astype(np.float32) for s in (1, 2))
