@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
-from featreg.pipeline.trust import CONDITIONS, Limits
+from featreg.pipeline.trust import BENT, CONDITIONS, Limits
 from featreg.results.gate_texts import FOCUS, REGISTRATION, GateText
 from featreg.results.losses import STAGES
 
@@ -14,7 +14,8 @@ PAGE = Path(__file__).parents[2] / "docs" / "unreliable.md"
 #: Limits that are not those of `Limits`, and in words where a number alone does not tell.
 SAID = {
     "prior": "at most `search_radius`",
-    "stability": f"at most {Limits().stability_px:g}, and at most {Limits().stability_by_spread_px:g} times `spread`",
+    "stability": f"at most {Limits().stability_px:g}, and at most {Limits().stability_by_spread_px:g} times `spread` "
+    f"({BENT * Limits().stability_by_spread_px:g} times for homographies and polynomials)",
     "drift": f"at most {Limits().drift_px:g}",
     "search": "at most 0.6 of the prior's uncertainty",
     "distortion": "only where the method states one",
