@@ -23,7 +23,8 @@ from featreg.sar.gradients.gradient_field import (
     ratio_field,
 )
 from featreg.sar.keypoints.gradient_histograms import dominant_orientation, further_orientations
-from featreg.sar.keypoints.maxima import interpolated, local_maxima, parabola_peak, quadratic_peak, reflected
+from featreg.sar.keypoints.harris import harris_response
+from featreg.sar.keypoints.maxima import interpolated, local_maxima, parabola_peak, quadratic_peak
 from featreg.sar.pyramid import clear, share_out, to_base
 from featreg.types import Features, FloatArray, Image, IntArray
 
@@ -31,8 +32,6 @@ F32 = NDArray[np.float32]
 
 # A scale is computed on the coarsest halving of the image on which its alpha is at least so many pixels.
 COARSEST_GRID = 1.25
-# Standard deviations to which the Gaussian that smooths the matrix reaches.
-REACH = 2.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,9 +123,8 @@ class SarHarris(Detector):
         level, local = octave(image, alpha, COARSEST_GRID)
         # Neither orientations nor descriptors are taken from gradients finer than `finest`.
         gradients = (filled_gradients if alpha >= self.finest else passing_gradients)(level, local, self.floor)
-        response = scratch(f"response {alpha!r}", level.shape)
-        _fill_response(*gradients, self.integration * local, self.d, response)
-        return _Layer(alpha, level, response)
+        out = scratch(f"response {alpha!r}", level.shape)
+        return _Layer(alpha, level, harris_response(*gradients, self.integration * local, self.d, out))
 
     def _maxima(self, layer: _Layer, image: Image) -> IntArray:
         reach = self.support * layer.alpha * layer.level.shape[1] / image.shape[1]
@@ -144,15 +142,3 @@ class SarHarris(Detector):
         level, local = octave(image, max(alpha, self.finest), COARSEST_GRID)
         radius = np.full(len(xy), 0.5 * self.support * local)
         return ratio_field(level, local, self.floor), from_base(xy, level, image), radius
-
-
-def _fill_response(gx: F32, gy: F32, sigma: float, d: float, response: F32) -> None:
-    """det - d trace^2 of the SAR-Harris matrix, smoothed by a Gaussian of `sigma` pixels; borders are reflected."""
-    import cv2
-
-    from featreg.sar.keypoints import harris_kernels
-
-    reach = max(1, math.ceil(REACH * sigma))
-    taps = np.asarray(cv2.getGaussianKernel(2 * reach + 1, sigma).ravel()[reach:], np.float32)
-    rows, columns = (reflected(length, reach) for length in gx.shape)
-    harris_kernels.response(gx, gy, taps, rows, columns, np.float32(d), response)

@@ -12,6 +12,7 @@ import numpy as np
 
 from featreg.errors import InputError, ParameterError
 from featreg.interop.torch_arrays import as_device
+from featreg.interop.torch_maps import ratio_gradients
 from featreg.runtime.optional import import_torch
 from featreg.sar.gradients.ratio import FLOOR, LEAST_EDGE
 from featreg.sar.orientation.search import Prepared
@@ -36,8 +37,8 @@ def orientation_module(alpha: float = 3.0, floor: float = FLOOR) -> Any:
 
     Notes
     -----
-    As `featreg.sar.orientation.field.orientation_field` of images without nodata, by products with matrices of the
-    exponential weights, so that it runs and differentiates anywhere. The median of the strength is that of all pixels.
+    As `featreg.sar.orientation.field.orientation_field` of images without nodata, from the gradients of
+    `featreg.interop.torch_maps`. The median of the strength is that of all pixels.
     """
     if not (math.isfinite(alpha) and alpha > 0):
         raise ParameterError(f"alpha must be a positive number of pixels, got {alpha}")
@@ -54,21 +55,10 @@ def orientation_module(alpha: float = 3.0, floor: float = FLOOR) -> Any:
 
 def _field(torch: Any, amplitude: Tensor, alpha: float, floor: float) -> Tensor:
     height, width = amplitude.shape[-2:]
-    mean = amplitude.mean(dim=(-2, -1), keepdim=True)
-    values = amplitude + floor * mean
-    across, down = (_weights(torch, n, alpha, values) for n in (width, height))
-    tiny = torch.clamp(1e-9 * mean, min=1e-30)
-    # One-sided along the gradient, two-sided across it; each side divided by the weights that exist.
-    smooth_y, smooth_x = down.sum(dim=0) + torch.eye(height).to(values), across.sum(dim=0) + torch.eye(width).to(values)
-    left, right = ((smooth_y @ values) @ (side / side.sum(1, keepdim=True).clamp(min=1e-30)).T for side in across)
-    above, below = ((side / side.sum(1, keepdim=True).clamp(min=1e-30)) @ (values @ smooth_x) for side in down)
-    gx, gy = torch.log((right + tiny) / (left + tiny)), torch.log((below + tiny) / (above + tiny))
+    gx, gy = ratio_gradients(torch, amplitude, alpha, floor)
     rim = math.ceil(alpha)
     inside = torch.zeros_like(gx)
     inside[..., rim : height - rim, rim : width - rim] = 1
-    # Before the rim is left out there is no gradient along an axis in its first and last sample.
-    gx = torch.nn.functional.pad(gx[..., 1:-1], (1, 1))
-    gy = torch.nn.functional.pad(gy[..., 1:-1, :], (0, 0, 1, 1))
     strength = gx**2 + gy**2
     middle = torch.stack([_middle(torch, one) for one in strength])[:, None, None]
     scale = inside * (strength.amax(dim=(-2, -1), keepdim=True) > LEAST_EDGE**2) / (strength + middle)
@@ -83,15 +73,6 @@ def _middle(torch: Any, strength: Tensor) -> Tensor:
         return torch.ones_like(strength[0, 0])  # type: ignore[no-any-return]  # torch may be absent when types are checked
     middle: Tensor = torch.quantile(some[:: max(1, len(some) // 1_000_000)], 0.5)
     return middle
-
-
-def _weights(torch: Any, n: int, alpha: float, like: Tensor) -> Tensor:
-    """(2, n, n) exponential weights of the samples before, and of those after, each sample."""
-    at = torch.arange(n, device=like.device, dtype=torch.float64)
-    away = at[None, :] - at[:, None]
-    weights = torch.exp(-away.abs() / alpha)
-    sides: Tensor = torch.stack([weights * (away < 0), weights * (away > 0)]).to(like.dtype)
-    return sides
 
 
 class TorchCorrelator:

@@ -75,10 +75,3 @@ def interpolated(response: F32, xy: FloatArray) -> FloatArray:
     upper = response[top, left] * (1 - u) + response[top, left + 1] * u
     lower = response[top + 1, left] * (1 - u) + response[top + 1, left + 1] * u
     return np.asarray(upper * (1 - v) + lower * v, np.float64)
-
-
-def reflected(length: int, reach: int) -> IntArray:
-    """Return the (length + 2 * reach,) places that stand from -reach on where an axis is reflected about its ends."""
-    period = max(2 * (length - 1), 1)
-    place = np.arange(-reach, length + reach) % period
-    return np.asarray(np.minimum(place, period - place) if length > 1 else 0 * place, np.int64)

@@ -10,18 +10,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from featreg.sar.keypoints import harris_kernels
-from featreg.sar.keypoints.maxima import reflected
+from featreg.sar.keypoints.harris import harris_response, reflected
 
 F32 = NDArray[np.float32]
-
-
-def fused(gx: F32, gy: F32, sigma: float, reach: int, d: float) -> F32:
-    taps = np.asarray(cv2.getGaussianKernel(2 * reach + 1, sigma).ravel()[reach:], np.float32)
-    rows, columns = (reflected(length, reach) for length in gx.shape)
-    out = np.full(gx.shape, np.nan, np.float32)
-    harris_kernels.response(gx, gy, taps, rows, columns, np.float32(d), out)
-    return out
 
 
 def plain(gx: F32, gy: F32, sigma: float, reach: int, d: float) -> NDArray[np.float64]:
@@ -36,13 +27,13 @@ def plain(gx: F32, gy: F32, sigma: float, reach: int, d: float) -> NDArray[np.fl
 def test_the_response_is_that_of_whole_maps(shape: tuple[int, int], reach: int) -> None:
     gx, gy = np.random.default_rng(reach).normal(0, 1, (2, *shape)).astype(np.float32)
     expected = plain(gx, gy, reach / 2.5, reach, 0.04)
-    np.testing.assert_allclose(fused(gx, gy, reach / 2.5, reach, 0.04), expected, atol=2e-6 * np.abs(expected).max())
+    np.testing.assert_allclose(harris_response(gx, gy, reach / 2.5), expected, atol=2e-6 * np.abs(expected).max())
 
 
 def test_a_turned_field_has_the_turned_response() -> None:
     gx, gy = np.random.default_rng(3).normal(0, 1, (2, 45, 70)).astype(np.float32)
-    turned = fused(np.ascontiguousarray(gx.T), np.ascontiguousarray(gy.T), 1.2, 3, 0.04)
-    np.testing.assert_allclose(turned.T, fused(gx, gy, 1.2, 3, 0.04), rtol=1e-4, atol=1e-6)
+    turned = harris_response(np.ascontiguousarray(gx.T), np.ascontiguousarray(gy.T), 1.2)
+    np.testing.assert_allclose(turned.T, harris_response(gx, gy, 1.2), rtol=1e-4, atol=1e-6)
 
 
 @pytest.mark.parametrize(("length", "reach", "places"), [
@@ -56,5 +47,5 @@ def test_an_axis_is_reflected_about_its_ends(length: int, reach: int, places: li
 
 def test_the_ring_is_the_same_for_any_number_of_rows(sar_texture: Callable[..., Any]) -> None:
     gx, gy = (np.ascontiguousarray(part) for part in np.gradient(sar_texture(90, 64)))
-    whole, part = fused(gx, gy, 1.0, 3, 0.04), fused(gx[:70], gy[:70], 1.0, 3, 0.04)
+    whole, part = harris_response(gx, gy, 1.0), harris_response(gx[:70], gy[:70], 1.0)
     np.testing.assert_array_equal(whole[:66], part[:66])
