@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from featreg.interfaces import Model
 from featreg.pipeline.aligned import WholeWindows, halved, inverted, linear_parts, peak_covariance, resampled
 from featreg.runtime.parameters import Positive, checked
+from featreg.runtime.threads import side_by_side
 from featreg.sar.bridging import on_sample
 from featreg.sar.correlation import local_correlations, peaks_uphill
 from featreg.sar.speckle import despeckled
@@ -68,8 +69,12 @@ class Locate:
         at, offset, rows = self._starts(reference, secondary, model, matches, rows)
         if not len(rows):
             return Matches.empty()
-        here = despeckled(reference, self.smoothing)
-        aligned = resampled(despeckled(secondary, self.smoothing), model, reference.shape)
+        here, aligned = side_by_side(
+            [
+                lambda: despeckled(reference, self.smoothing),
+                lambda: resampled(despeckled(secondary, self.smoothing), model, reference.shape),
+            ]
+        )
         start = self._coarse(halved(here), halved(aligned), at // 2, offset / 2)
         peak = peaks_uphill(here, aligned, at, 2 * start, offset, self.half_width, self.most_moved)
         good = peak.sound & (peak.height >= self.least_peak)

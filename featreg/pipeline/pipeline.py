@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import takewhile
 from typing import Any
 
@@ -32,6 +33,7 @@ from featreg.pipeline.steps import (
 from featreg.pipeline.trust import Limits
 from featreg.results.losses import image_words
 from featreg.results.registration import Registration
+from featreg.runtime.threads import side_by_side
 from featreg.runtime.timing import collecting, stage
 from featreg.runtime.versions import versions
 from featreg.runtime.watching import Progress, Steps
@@ -144,7 +146,7 @@ class Pipeline:
                 if identical is not None:
                     reference, secondary = without_identical(reference, secondary, identical)
             with stage("read"):
-                reference, secondary = bridged(reference), bridged(secondary)
+                reference, secondary = side_by_side([partial(bridged, reference), partial(bridged, secondary)])
             if initial is None or search_radius is None:
                 matches = matcher.match(reference, secondary)
             else:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -22,6 +23,7 @@ from featreg.pipeline.aligned import (
     variance_factor,
 )
 from featreg.runtime.parameters import Positive, checked
+from featreg.runtime.threads import side_by_side
 from featreg.sar.bridging import on_sample
 from featreg.sar.correlation import Peaks, local_correlations, peaks
 from featreg.sar.correlation_filter import correlation_filter
@@ -126,11 +128,16 @@ class Refine:
         if _distance(first, model, reference.shape) > 1:
             inside = WholeWindows(reference, secondary, first, self.half + FILTER_MARGIN)(seeds)
             seeds, origin = seeds[inside], origin[inside]
-        view, aligned = log_amplitude(reference), resampled(log_amplitude(secondary), first, reference.shape)
+        view, aligned = side_by_side(
+            [
+                lambda: log_amplitude(reference),
+                lambda: resampled(log_amplitude(secondary), first, reference.shape),
+            ]
+        )
         best = correlation_filter(view, aligned, shared_pixels(reference, secondary, first))
         if best is None:
             return none
-        view, aligned = best.applied(view), best.applied(aligned)
+        view, aligned = side_by_side([partial(best.applied, view), partial(best.applied, aligned)])
         fine = self._measure(view, aligned, seeds, self.half, 2)
         least = self._height_by_chance(view, aligned, seeds)
         final, there_xy, keep = self._fit(kind, first, seeds, fine.shift, fine, least)
