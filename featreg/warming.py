@@ -63,6 +63,31 @@ def warm_up() -> None:
         warp(result, image, like=SHAPE)
     focus(complex_[1])
     offsets(*real, window=32)
+    _warm_geometry()
+
+
+def _warm_geometry() -> None:
+    """Use the sensors and the back-projection once."""
+    import numpy as np
+
+    from featreg.focusing.backprojection import GroundGrid, back_project
+    from featreg.focusing.phase_history import PhaseHistory
+    from featreg.geolocation.orbit import Orbit
+    from featreg.simulate.orbit import RangeDoppler
+
+    shape, heights = (64, 64), np.zeros(2)
+    exact = RangeDoppler.over((12.0, 47.0), shape, incidence_deg=35.0, heading_deg=-12.0, pixel=3.0)
+    orbiting = exact.sensor(shape, 0.0)
+    for sensor in (exact.rpc(shape, -100.0, 100.0, 1.0), orbiting):
+        ground = sensor.image_to_ground(np.array([[10.0, 20.0], [30.0, 40.0]]), heights)
+        sensor.ground_to_image(ground, heights)
+    Orbit(orbiting.times, orbiting.positions, orbiting.velocities).at(orbiting.times[:2])
+    azimuth = np.linspace(0.0, 1.0, 8)
+    turn = np.radians(azimuth)
+    places = 7000 * np.column_stack([np.cos(turn), np.sin(turn), np.ones(8)])
+    pulses = np.ones((8, 16), np.complex64)
+    history = PhaseHistory(pulses, 9.6e9 + 1e6 * np.arange(16), places, np.linalg.norm(places, axis=1), azimuth)
+    back_project(history, GroundGrid((32, 32), 0.5))
 
 
 def _methods() -> Iterator[dict[str, Any]]:
