@@ -86,7 +86,7 @@ def _warm_geometry() -> None:
     turn = np.radians(azimuth)
     places = 7000 * np.column_stack([np.cos(turn), np.sin(turn), np.ones(8)])
     pulses = np.ones((8, 16), np.complex64)
-    history = PhaseHistory(pulses, 9.6e9 + 1e6 * np.arange(16), places, np.linalg.norm(places, axis=1), azimuth)
+    history = PhaseHistory(pulses, np.linspace(9.6e9, 9.615e9, 16), places, np.linalg.norm(places, axis=1), azimuth)
     back_project(history, GroundGrid((32, 32), 0.5))
 
 
