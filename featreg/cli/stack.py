@@ -85,9 +85,13 @@ def stack(
     method: Annotated[
         str,
         typer.Option(
-            "--method", metavar="NAME", help="One of `featreg list method`.", autocompletion=completion.methods
+            "--method",
+            metavar="NAME",
+            help="One of `featreg list method`.",
+            show_default="auto; sar-orb with --set",
+            autocompletion=completion.methods,
         ),
-    ] = DEFAULT_METHOD,
+    ] = "",
     *,
     common: MethodOptions,
     add: Annotated[
@@ -122,7 +126,7 @@ def stack(
     check_output(cube, "--cube", suffixes=[".nc", ".zarr"], inputs=images)
     settings = parse_settings(common.settings, (keyword.name for keyword in KEYWORDS if keyword.option))
     given = {k: v for k, v in {**common.keywords(), **settings}.items() if v is not None}
-    changed = [*given, *(["method"] if method != DEFAULT_METHOD else []), *(["seed"] if common.seed else [])]
+    changed = [*given, *(["method"] if method else []), *(["seed"] if common.seed else [])]
     if add and changed:
         raise ParameterError(f"--add keeps the options of the stack: leave {', '.join(sorted(changed))} out")
     resume = str(folder / "pairs") if pieces.resume is None else pieces.resume
@@ -130,6 +134,7 @@ def stack(
     with saying_when_interrupted(kept), limited_threads(workers, 1):
         announce_compiling()
         from featreg.pictures.stack import draw_stack
+        from featreg.pipeline.assembly import DEFAULT_METHOD
         from featreg.stacks.registering import register_stack
         from featreg.stacks.stack import Stack
 
@@ -149,7 +154,8 @@ def stack(
                 images,
                 reference=_number(reference, images),
                 pairs=pairs,
-                method=method,
+                # `auto` tries whole methods, whose parts no setting names.
+                method=method or (DEFAULT_METHOD if settings else "auto"),
                 seed=common.seed,
                 **given,
                 **how,

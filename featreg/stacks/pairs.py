@@ -12,7 +12,7 @@ from featreg.errors import ParameterError
 from featreg.geometry import inverse_variances, model_from_dict, model_to_dict, prediction
 from featreg.interfaces import FailedFit, Model
 from featreg.results.registration import Registration
-from featreg.types import FloatArray
+from featreg.types import FloatArray, Matches
 
 #: Nodes along each side of the first image on which a pair is weighed, and the share of the side that they leave free.
 NODES, RIM = 5, 0.1
@@ -117,19 +117,22 @@ def _next(count: int, reach: int) -> list[tuple[int, int]]:
     return [(i, k) for i in range(count) for k in range(i + 1, min(i + reach + 1, count))]
 
 
-def weighed(result: Registration, first: int, second: int, shape: tuple[int, int]) -> StackPair:
-    """Return the pair of a registration, with the covariance of its model over the first image (H, W)."""
+def weighed(
+    result: Registration, first: int, second: int, shape: tuple[int, int], again: tuple[Model, Matches] | None = None
+) -> StackPair:
+    """Return the pair of a registration, with the covariance of its model over the first image (H, W).
+
+    `again` is the model by other tie points, and these, where the pair was measured again.
+    """
     x, y = (np.linspace(RIM, 1 - RIM, NODES) * (n - 1) for n in shape[::-1])
     nodes = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
     blank = np.zeros((0, 2, 2))
     if result.status != "ok" or isinstance(result.model, FailedFit):
         return StackPair(first, second, "unreliable", result.reason, None, nodes[:0], blank)
-    chosen = result.matches.take(np.flatnonzero(result.inliers))
-    known = prediction(
-        result.model, chosen.reference_xy, chosen.secondary_xy, inverse_variances(chosen.covariance), at=nodes
-    )
+    model, chosen = again or (result.model, result.matches.take(np.flatnonzero(result.inliers)))
+    known = prediction(model, chosen.reference_xy, chosen.secondary_xy, inverse_variances(chosen.covariance), at=nodes)
     if isinstance(known, FailedFit):
         reason = f"how well its tie points determine the model cannot be told ({known.reason})"
         return StackPair(first, second, "unreliable", reason, None, nodes[:0], blank)
     covariance = known.covariance + FINEST_PX**2 * np.eye(2)
-    return StackPair(first, second, "ok", "", result.model, nodes, covariance)
+    return StackPair(first, second, "ok", "", model, nodes, covariance)

@@ -13,7 +13,7 @@ import numpy as np
 
 from featreg.errors import InputError, ParameterError
 from featreg.geometry import Affine
-from featreg.interfaces import Model
+from featreg.interfaces import FailedFit, Model
 from featreg.io import as_image
 from featreg.io.raster_source import Source, open_source
 from featreg.matching import MOST_PIXELS, match
@@ -25,6 +25,7 @@ from featreg.runtime.versions import versions
 from featreg.runtime.watching import Progress
 from featreg.scene.state import ArrayFiles, digest_of
 from featreg.stacks.closure import closure_of, loops
+from featreg.stacks.dense import measured_again
 from featreg.stacks.jumps import jumps
 from featreg.stacks.network import adjust
 from featreg.stacks.pairs import StackPair, planned, weighed
@@ -36,6 +37,8 @@ if TYPE_CHECKING:
 SECOND_CHANCES = 3
 #: Keywords that say how an image is read.
 READING = ("nodata", "scale", "band")
+#: Keywords that say what runs the blocks of a pair.
+RUNNING = ("block", "executor", "workers", "cancel", "resume")
 
 
 def registered(
@@ -156,7 +159,11 @@ def match_pair(options: Mapping[str, Any], item: tuple[int, int, Any, Any]) -> S
     first, second, reference, secondary = item
     result = match(reference, secondary, **options)
     shape = result.reference.shape if result.reference is not None else open_source(reference).shape
-    return weighed(result, first, second, shape)
+    again = None
+    if result.status == "ok" and not isinstance(result.model, FailedFit) and options.get("refine") is not False:
+        how = {name: options[name] for name in RUNNING if options.get(name) is not None}
+        again = measured_again(reference, secondary, result.model, shape, reading_of(options), how)
+    return weighed(result, first, second, shape, again)
 
 
 def _loaded(files: ArrayFiles) -> StackPair | None:
