@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -28,6 +29,15 @@ def offsets(
         str,
         typer.Option("--output", "-o", metavar="OUT", help="GeoTIFF, or HDF5 (.h5) for MintPy.", show_default=False),
     ],
+    dates: Annotated[
+        str | None,
+        typer.Option(
+            "--dates",
+            metavar="YYYYMMDD,YYYYMMDD",
+            help="Days of the two images, under which MintPy keeps them.",
+            show_default="from the names of the files",
+        ),
+    ] = None,
     initial: Annotated[
         str | None,
         typer.Option(
@@ -88,6 +98,12 @@ def offsets(
     check_output(output, "--output", suffixes=[".tif", ".tiff", ".h5", ".he5", ".hdf5"], inputs=inputs)
     check_output(plot, "--plot", suffixes=[".png"], inputs=inputs)
     blocks.check(workers)
+    days = None if dates is None else [part.strip() for part in dates.split(",")]
+    if days is not None or Path(output).suffix.lower() in (".h5", ".he5", ".hdf5"):
+        from featreg.displacement.mintpy import dates_of
+
+        # Before the work, not after it.
+        dates_of(reference, secondary, days)
     with kept_when_interrupted(blocks.resume), limited_threads(workers, 1):
         announce_compiling()
         from featreg.displacement.run import offsets as measure
@@ -107,7 +123,7 @@ def offsets(
             **reading.reading(),
             **masks.keywords(),
         )
-        field.to_file(output)
+        field.to_file(output, dates=days)
         written = [output]
         if plot is not None:
             from featreg.pictures.displacement import draw_offsets

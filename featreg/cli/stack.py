@@ -134,7 +134,6 @@ def stack(
     with saying_when_interrupted(kept), limited_threads(workers, 1):
         announce_compiling()
         from featreg.pictures.stack import draw_stack
-        from featreg.pipeline.assembly import DEFAULT_METHOD
         from featreg.stacks.registering import register_stack
         from featreg.stacks.stack import Stack
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -89,20 +89,22 @@ class Offsets(ReadOnlyArrays, Shown):
 
         return ground_displacement(self)
 
-    def to_file(self, path: str | Path) -> None:
+    def to_file(self, path: str | Path, *, dates: Sequence[str] | None = None) -> None:
         """Write a tiled GeoTIFF of the cells, its bands named, with the reference's geolocation.
 
-        Bands: dx, dy, cov_xx, cov_xy, cov_yy, peak, snr, reason, and metres where `metres` knows them. Where
-        the name ends in .h5, an HDF5 file with the offset layers and attributes that MintPy reads.
+        Bands: dx, dy, cov_xx, cov_xy, cov_yy, peak, snr, reason, and metres where `metres` knows them; displacements
+        and covariances are NaN where a cell is not good. Where the name ends in .h5, the stack of one pair that MintPy
+        reads, under the `dates` of the reference and of the secondary (YYYYMMDD); without them the first in the name of
+        each file counts.
 
         Raises
         ------
-        InputError
-            The file cannot be written.
+        InputError, ParameterError
+            The file cannot be written; the dates of a file for MintPy are not known.
         """
         from featreg.displacement.raster import write_offsets
 
-        write_offsets(self, Path(path))
+        write_offsets(self, Path(path), dates)
 
     def plot(self) -> Any:
         """Return a `matplotlib.figure.Figure`: length and direction, standard error, reasons."""

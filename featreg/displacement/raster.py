@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,14 +26,21 @@ HDF5 = (".h5", ".he5", ".hdf5")
 
 
 def bands_of(field: Offsets) -> dict[str, tuple[FloatArray, str]]:
-    """Return the bands of a field by name: values and unit."""
+    """Return the bands of a field by name: values and unit.
+
+    Displacements are NaN where a cell is not good: who reads a raster may pass its reasons over.
+    """
+
+    def kept(values: FloatArray) -> FloatArray:
+        return np.where(field.good, values, np.nan)
+
     covariance = field.covariance
     bands: dict[str, tuple[Any, str]] = {
-        "dx": (field.dx, "pixel"),
-        "dy": (field.dy, "pixel"),
-        "cov_xx": (covariance[..., 0, 0], "pixel^2"),
-        "cov_xy": (covariance[..., 0, 1], "pixel^2"),
-        "cov_yy": (covariance[..., 1, 1], "pixel^2"),
+        "dx": (kept(field.dx), "pixel"),
+        "dy": (kept(field.dy), "pixel"),
+        "cov_xx": (kept(covariance[..., 0, 0]), "pixel^2"),
+        "cov_xy": (kept(covariance[..., 0, 1]), "pixel^2"),
+        "cov_yy": (kept(covariance[..., 1, 1]), "pixel^2"),
         "peak": (field.peak, ""),
         "snr": (field.snr, ""),
         "reason": (field.reason, ""),
@@ -40,16 +48,17 @@ def bands_of(field: Offsets) -> dict[str, tuple[FloatArray, str]]:
     metres = field.metres()
     if metres is not None:
         names = ("east", "north") if is_on_map(field) else ("along_x", "along_y")
-        bands |= {f"{name}_m": (metres[..., k], "metre") for k, name in enumerate(names)}
+        bands |= {f"{name}_m": (kept(metres[..., k]), "metre") for k, name in enumerate(names)}
     return bands
 
 
-def write_offsets(field: Offsets, path: Path) -> None:
+def write_offsets(field: Offsets, path: Path, dates: Sequence[str] | None = None) -> None:
     """Write a field as the file that its name asks for; see `Offsets.to_file`."""
     if path.suffix.lower() in HDF5:
-        from featreg.displacement.mintpy import write_mintpy
+        from featreg.displacement.mintpy import dates_of, write_mintpy
 
-        write_mintpy(field, path, cell_geolocation(field.reference.geolocation, field.grid))
+        days = dates_of(field.reference.path, field.secondary.path, dates)
+        write_mintpy([field], path, cell_geolocation(field.reference.geolocation, field.grid), [days])
         return
     import rasterio
 

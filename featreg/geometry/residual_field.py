@@ -13,12 +13,15 @@ from featreg.geometry.base import DerivedModel, GeometricModel, coefficient_arra
 from featreg.geometry.matrix import Affine
 from featreg.interfaces import FailedFit, Model
 from featreg.registry import register
-from featreg.types import FloatArray
+from featreg.types import FloatArray, IntArray
 
 #: Most cells along a side, and points that a cell should hold on average.
 MOST_CELLS, POINTS_PER_CELL = 12, 8
 #: Smoothing that is tried, relative to the weight of the points.
 SMOOTHING = 10.0 ** np.arange(-4, 5)
+#: Squares along the longer side of the points' box that are left out together to judge a smoothing, and the folds of
+#: them along either axis.
+SQUARES, FOLDS = 6, 3
 
 
 @register("residual-field")
@@ -41,9 +44,11 @@ class ResidualField(GeometricModel):
     Notes
     -----
     P-splines [1]_ in two dimensions: the second differences of neighbouring coefficients are penalised, by as much as
-    makes the generalised cross-validation least. Grid cells hold about eight points each, at most 12 x 12. The frame is
-    the box of the points; beyond it the displacement of the rim goes on, and no displacement exceeds the largest
-    residual of the points from the affine part. Give it points without outliers, or fit it robustly.
+    foretells best the points of whole squares that are left out, each a sixth of the longer side. Points left out one
+    by one would not do: windows that overlap share their errors, and a field that follows these foretells them. Grid
+    cells hold about eight points each, at most 12 x 12. The frame is the box of the points; beyond it the displacement
+    of the rim goes on, and no displacement exceeds the largest residual of the points from the affine part. Give it
+    points without outliers, or fit it robustly.
 
     References
     ----------
@@ -91,7 +96,7 @@ class ResidualField(GeometricModel):
         cells = np.clip(np.floor((high - low) / side), 1, MOST_CELLS).astype(int)
         shape = int(cells[1]) + 3, int(cells[0]) + 3
         frame = (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
-        coefficients = _smoothed(_basis(here, frame, shape), residual, n.weights, shape)
+        coefficients = _smoothed(_basis(here, frame, shape), residual, n.weights, shape, _folds(here, low, high))
         bound = float(np.hypot(*residual.T).max())
         return cls(plane.matrix[:2], coefficients.T.reshape(2, *shape), frame, bound)
 
@@ -181,23 +186,41 @@ def _line(at: FloatArray, start: float, stop: float, count: int) -> tuple[Any, F
     return first[:, None] + np.arange(4), values
 
 
-def _smoothed(basis: Any, residual: FloatArray, weights: FloatArray, shape: tuple[int, int]) -> FloatArray:
-    """(R C, 2) coefficients at the smoothing of least generalised cross-validation."""
-    count = len(residual)
-    weighted = basis.multiply(weights[:, None]).tocsr()
-    normal, right = (basis.T @ weighted).toarray(), weighted.T @ residual
+def _smoothed(
+    basis: Any, residual: FloatArray, weights: FloatArray, shape: tuple[int, int], fold: IntArray
+) -> FloatArray:
+    """(R C, 2) coefficients at the smoothing that foretells best what lies in folds (N,) of the points left out."""
+    from scipy.linalg import cho_factor, cho_solve
+
     rows, columns = (np.diff(np.eye(n), 2, axis=0) for n in shape)
     penalty = np.kron(rows.T @ rows, np.eye(shape[1])) + np.kron(np.eye(shape[0]), columns.T @ columns)
+    weighted = basis.multiply(weights[:, None]).tocsr()
+    parts = []
+    for number in range(FOLDS**2):
+        own = np.flatnonzero(fold == number)
+        if len(own):
+            rows_of, heavy = basis[own], weighted[own]
+            parts.append((rows_of, residual[own], weights[own], (rows_of.T @ heavy).toarray(), heavy.T @ residual[own]))
+    normal, right = (np.asarray(np.sum([part[k] for part in parts], axis=0)) for k in (3, 4))
     # Coefficients that no point sees must still be determined.
-    ridge = 1e-9 * np.trace(normal) / len(normal) * np.eye(len(normal))
-    total = float((weights @ residual**2).sum())
-    best, found = np.inf, np.zeros((len(normal), 2))
-    for smoothing in SMOOTHING * np.trace(normal) / len(normal):
-        system = normal + smoothing * penalty + ridge
-        solution = np.linalg.solve(system, np.column_stack([right, normal]))
-        fitted, freedom = solution[:, :2], float(np.trace(solution[:, 2:]))
-        left = total - 2 * float((fitted * right).sum()) + float((fitted * (normal @ fitted)).sum())
-        score = left / max(count - freedom, 1e-9) ** 2
-        if score < best:
-            best, found = score, fitted
-    return found
+    unit = np.trace(normal) / len(normal)
+    ridge = 1e-9 * unit * np.eye(len(normal))
+    chosen, best = SMOOTHING[-1], np.inf
+    for smoothing in SMOOTHING[::-1]:
+        stiff, missed = normal + (smoothing * unit * penalty + ridge), 0.0
+        for rows_of, truth, weight, inner, moment in parts if len(parts) > 1 else ():
+            left = cho_solve(cho_factor(stiff - inner, check_finite=False), right - moment, check_finite=False)
+            missed += float(weight @ ((rows_of @ left - truth) ** 2).sum(axis=1))
+        if missed < best:
+            chosen, best = smoothing, missed
+        elif missed > 1.5 * best:
+            # Rougher fields only get worse from here.
+            break
+    return np.asarray(cho_solve(cho_factor(normal + chosen * unit * penalty + ridge), right))
+
+
+def _folds(xy: FloatArray, low: FloatArray, high: FloatArray) -> IntArray:
+    """(N,) number of the fold of each point: squares, so that those of one fold lie apart."""
+    side = float((high - low).max()) / SQUARES
+    column, row = np.minimum((xy - low) / side, SQUARES - 1).astype(np.int64).T
+    return np.asarray((row % FOLDS) * FOLDS + column % FOLDS)

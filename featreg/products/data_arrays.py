@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from featreg.io.bands import BandLike
 from featreg.io.data_arrays import DataArrayReader, is_data_array
 from featreg.io.images import as_image
-from featreg.io.raster_source import Source, open_source
-from featreg.products.lattice import lattice_of
-from featreg.products.resample import TILE, Support, resample, support_box
+from featreg.io.raster_source import Source, Window, open_source
+from featreg.products.resample import TILE, resample, resampled_window
 from featreg.types import BoolArray, FloatArray, Geolocation
 
 #: The coordinate that holds the place, as rioxarray and the CF conventions have it.
@@ -128,13 +127,8 @@ def _lazy(model: Callable[[FloatArray], FloatArray], source: Source, shape: tupl
 
     def tile(block_info: Any = None) -> NDArray[Any]:
         (top, bottom), (left, right) = block_info[None]["array-location"]
-        lattice = lattice_of(model, left, top, (bottom - top, right - left))
-        box = support_box(lattice, source.shape, resampling)
-        if box is None:
-            return blanked(np.zeros(lattice.shape, kind), np.zeros(lattice.shape, np.bool_))
-        image = source.read(box)
-        values, mask = Support(image.pixels, image.mask, resampling).sample(lattice.moved(-box.x, -box.y))
-        return blanked(values if source.is_complex else np.maximum(values, 0), mask)
+        window = Window(left, top, right - left, bottom - top)
+        return blanked(*resampled_window(source, model, window, resampling))
 
     chunks = tuple(tuple(min(TILE, n - start) for start in range(0, n, TILE)) for n in shape)
     blocks: Any = dask.array.map_blocks

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from featreg.errors import InputError, ParameterError, suggest
 from featreg.interfaces import FailedFit, Model
+from featreg.io.source import Source
 from featreg.io.window import Window
 from featreg.products.lattice import Lattice, lattice_of
 from featreg.results.registration import Registration
@@ -78,6 +79,25 @@ def resample(
     # Interpolated 8-bit samples are no longer 8-bit: they swing beyond 255.
     dtype = image.source_dtype if resampling == "nearest" else str(pixels.dtype)
     return Image(read_only(pixels), read_only(mask), None, image.name, dtype, image.scale)
+
+
+def resampled_window(
+    source: Source, model: Callable[[FloatArray], FloatArray], window: Window, resampling: str
+) -> tuple[NDArray[Any], BoolArray]:
+    """Return a window of what `resample` makes of a whole image, from as much of a source as it rests on.
+
+    Returns
+    -------
+    (h, w) float32 or complex64, and which of them are data
+    """
+    lattice = lattice_of(model, window.x, window.y, window.shape)
+    box = support_box(lattice, source.shape, resampling)
+    if box is None:
+        kind = np.complex64 if source.is_complex else np.float32
+        return np.zeros(lattice.shape, kind), np.zeros(lattice.shape, np.bool_)
+    image = source.read(box)
+    values, mask = Support(image.pixels, image.mask, resampling).sample(lattice.moved(-box.x, -box.y))
+    return (values if source.is_complex else np.maximum(values, 0)), mask
 
 
 class Support:

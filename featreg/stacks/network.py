@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from featreg.geometry import Affine, Homography, Polynomial3, Rigid, Similarity, Translation
+from featreg.geometry import Affine, Homography, Polynomial3, ResidualField, Rigid, Similarity, Translation
+from featreg.geometry.base import DerivedModel
 from featreg.interfaces import FailedFit, Model
 from featreg.stacks.pairs import THROWN_OUT, StackPair
 from featreg.types import FloatArray
@@ -18,6 +20,8 @@ from featreg.types import FloatArray
 LIMIT = 3.0
 #: Rounds at each limit, and nodes along each side of the reference from which the final models are made.
 ROUNDS, DENSE = 2, 15
+#: The same for residual fields: eight points in each of their 12 x 12 cells.
+DENSE_FIELD = 36
 #: Largest distance, px, of an affine map from the adjusted points for which it stands for them.
 BENT_PX = 0.02
 
@@ -76,7 +80,7 @@ def adjust(
     trusted = [pair for pair in pairs if pair.model is not None]
     weights = np.ones(len(trusted))
     start = _paths(trusted, np.ones(len(trusted)), count, reference)
-    grid = _grid(shape, DENSE)
+    grid = _grid(shape, DENSE_FIELD if kind is ResidualField else DENSE)
     bases = _Basis(kind, shape)
     corrections = np.zeros((count, bases.size))
     known = [i for i in range(count) if start[i] is not None and i != reference]
@@ -235,30 +239,46 @@ def _paths(pairs: Sequence[StackPair], weights: FloatArray, count: int, referenc
             other = pair.second if image == pair.first else pair.first
             if models[other] is None:
                 step = pair.model if image == pair.first else pair.model.inverse
-                models[other] = _composed(here, step, pair)
+                models[other] = _composed(here, step)
                 todo.append(other)
     return models
 
 
-def _composed(first: Model, second: Model, pair: StackPair) -> Model:
+def _composed(first: Model, second: Model) -> Model:
     a, b = first.matrix, second.matrix
     if a is not None and b is not None and (a[2, :2] == 0).all() and (b[2, :2] == 0).all():
         return Affine((b @ a)[:2])
-    # Over the images' own extent, which the nodes of the pair tell.
-    points = first.inverse(pair.nodes)
-    low, high = points.min(axis=0), points.max(axis=0)
-    reach = 0.15 * (high - low)
-    side = [np.linspace(low[k] - reach[k], high[k] + reach[k], DENSE) for k in range(2)]
-    grid = np.stack(np.meshgrid(*side), -1).reshape(-1, 2)
-    return _fitted(Affine, grid, second(first(grid)))
+    return Chain(first, second)
+
+
+@dataclass(frozen=True, eq=False)
+class Chain(DerivedModel):
+    """One model after the other, as they are: a model of another kind could not follow both."""
+
+    first: Model
+    second: Model
+
+    def __call__(self, xy: FloatArray) -> FloatArray:
+        return self.second(self.first(xy))
+
+    @property
+    def inverse(self) -> Model:
+        return Chain(self.second.inverse, self.first.inverse)
+
+    @property
+    def parameters(self) -> Mapping[str, Any]:
+        return {"first": self.first, "second": self.second}
 
 
 def _fitted(kind: type[Model], here: FloatArray, there: FloatArray) -> Model:
-    """The model of a kind through points that are exact; a freer one where it cannot follow them."""
+    """The model of a kind through points that are exact; a freer one where it cannot follow them.
+
+    A residual field follows anything as far as its cells are fine enough, and no other kind follows it better.
+    """
     for candidate in (kind, Affine, Homography, Polynomial3):
         model = candidate.from_estimate(here, there)
         if not isinstance(model, FailedFit) and (
-            candidate is Polynomial3 or float(np.max(model.residuals(here, there))) <= BENT_PX
+            candidate in (ResidualField, Polynomial3) or float(np.max(model.residuals(here, there))) <= BENT_PX
         ):
             return model
     raise ValueError("no model follows the adjusted points")

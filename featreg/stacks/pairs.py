@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
@@ -18,6 +19,8 @@ from featreg.types import FloatArray, Matches
 NODES, RIM = 5, 0.1
 #: A pair is never taken to be better than this, px: what the fit of a peak and the sampling leave.
 FINEST_PX = 0.01
+#: Images that share less of their ground make no pair.
+LEAST_SHARED = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +89,9 @@ class StackPair:
 THROWN_OUT = 0.1
 
 
-def planned(count: int, reference: int, pairs: Any) -> list[tuple[int, int]]:
+def planned(
+    count: int, reference: int, pairs: Any, shared: Callable[[int, int], float | None] | None = None
+) -> list[tuple[int, int]]:
     """Return the pairs of a stack that are matched, each (first, second) with first < second.
 
     Parameters
@@ -95,26 +100,36 @@ def planned(count: int, reference: int, pairs: Any) -> list[tuple[int, int]]:
     reference : number of the reference
     pairs : None for each image with the next two and with the reference, which makes loops of three everywhere at a
         cost that grows with the number of images; "chain" for each with the next; "all"; K for each with the next K
+    shared : what share of the ground of one image another shows, None where that is not known. Images that are known
+        to share less than a tenth make no pair, and the next ones are the next of those that share more; a chain is
+        taken as it is
 
     Raises
     ------
     ParameterError
-        Another value.
+        Another value of `pairs`.
     """
+
+    def meet(i: int, k: int) -> bool:
+        share = None if shared is None else shared(i, k)
+        return share is None or share >= LEAST_SHARED
+
+    def following(reach: int) -> list[tuple[int, int]]:
+        found = []
+        for i in range(count):
+            found += itertools.islice(((i, k) for k in range(i + 1, count) if meet(i, k)), reach)
+        return found
+
     if pairs is None:
-        star = {tuple(sorted((reference, i))) for i in range(count) if i != reference}
-        return sorted(star | set(_next(count, 2)))  # type: ignore[arg-type]  # sorted pairs are pairs
+        star = [(min(reference, i), max(reference, i)) for i in range(count) if i != reference]
+        return sorted({pair for pair in star if meet(*pair)} | set(following(2)))
     if pairs == "chain":
-        return _next(count, 1)
+        return [(i, i + 1) for i in range(count - 1)]
     if pairs == "all":
-        return _next(count, count)
+        return following(count)
     if isinstance(pairs, bool) or not isinstance(pairs, int | np.integer) or pairs < 1:
         raise ParameterError(f"pairs must be 'all', 'chain' or a whole number >= 1, got {pairs!r}")
-    return _next(count, int(pairs))
-
-
-def _next(count: int, reach: int) -> list[tuple[int, int]]:
-    return [(i, k) for i in range(count) for k in range(i + 1, min(i + reach + 1, count))]
+    return following(int(pairs))
 
 
 def weighed(

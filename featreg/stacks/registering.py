@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from featreg.runtime.threads import worker_count
 from featreg.runtime.watching import Canceller, Progress, check_watch
 from featreg.stacks.run import registered
 from featreg.stacks.stack import Stack
+from featreg.types import Image
 
 #: Fewest images of a stack.
 FEWEST = 2
@@ -72,6 +73,10 @@ def register_stack(
     All models are adjusted at once (`featreg.stacks.network.adjust`), weighted by what the tie points of each pair
     say of it; a pair that the others contradict is thrown out and named. `Stack.closure` is measured before that.
     """
+    if isinstance(images, str | Path | Image) or not isinstance(images, Iterable):
+        raise InputError(
+            f"images must be a list of paths, arrays or Images, got {_shown(images)}; give [first, second]"
+        )
     given = list(images)
     if len(given) < FEWEST:
         raise InputError(f"a stack needs at least {FEWEST} images, got {len(given)}")
@@ -93,3 +98,7 @@ def register_stack(
     options = {"method": method, "model": model, "seed": int(seed), **keywords}
     how = {"executor": executor, "workers": workers, "scheduler": scheduler, "resume": resume, "cancel": cancel}
     return registered(Stack, given, reference, pairs, options, progress, how)
+
+
+def _shown(value: Any) -> str:
+    return f"'{value}'" if isinstance(value, str | Path) else f"one {type(value).__name__}"

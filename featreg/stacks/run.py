@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 import json
+import logging
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
@@ -11,24 +13,27 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from featreg.displacement.mintpy import DAY
 from featreg.errors import InputError, ParameterError
 from featreg.geometry import Affine
 from featreg.interfaces import FailedFit, Model
 from featreg.io import as_image
 from featreg.io.raster_source import Source, open_source
 from featreg.matching import MOST_PIXELS, match
-from featreg.registry import model_class
-from featreg.results.json_file import plain
+from featreg.registry import KINDS, model_class
 from featreg.runtime.cluster import dask_client
+from featreg.runtime.digests import digest_value
 from featreg.runtime.executors import open_executor
 from featreg.runtime.versions import versions
 from featreg.runtime.watching import Progress
 from featreg.scene.state import ArrayFiles, digest_of
 from featreg.stacks.closure import closure_of, loops
 from featreg.stacks.dense import measured_again
+from featreg.stacks.ground import SharedGround
 from featreg.stacks.jumps import jumps
 from featreg.stacks.network import adjust
 from featreg.stacks.pairs import StackPair, planned, weighed
+from featreg.stacks.stack_file import Unkept
 
 if TYPE_CHECKING:
     from featreg.stacks.stack import Stack
@@ -39,6 +44,8 @@ SECOND_CHANCES = 3
 READING = ("nodata", "scale", "band")
 #: Keywords that say what runs the blocks of a pair.
 RUNNING = ("block", "executor", "workers", "cancel", "resume")
+
+logger = logging.getLogger(__name__)
 
 
 def registered(
@@ -54,11 +61,11 @@ def registered(
     count = len(given)
     work = _Work(given, options, progress, how)
     if reference == "auto":
-        work.match(planned(count, 0, 2 if pairs is None else pairs))
+        work.match(planned(count, 0, 2 if pairs is None else pairs, work.shared))
         chosen = _best(work.found.values(), count)
     else:
         chosen = int(reference)
-    work.match(planned(count, chosen, pairs))
+    work.match(planned(count, chosen, pairs, work.shared))
     _second_chances(work, chosen, count)
     return _assembled(kind, work, chosen, pairs)
 
@@ -71,10 +78,17 @@ def added(stack: Stack, image: Any, **how: Any) -> Stack:
     if len(stack.images) != len(stack.models):
         raise InputError("the images of this stack are not at hand; register it anew")
     options, pairs = dict(stack.provenance["options"]), stack.provenance["pairs"]
+    lost = sorted(name for name, value in options.items() if isinstance(value, Unkept))
+    if lost:
+        raise InputError(
+            f"the file of this stack keeps no more than the name of {', '.join(lost)}, an object of the program that "
+            "made it; add to the stack in that program, or register it anew"
+        )
     progress = how.pop("progress", None)
     work = _Work([*stack.images, image], options, progress, how)
     work.found = {(pair.first, pair.second): pair for pair in stack.pairs}
-    work.match([pair for pair in planned(len(work.images), stack.reference, pairs) if len(stack.images) in pair])
+    wanted = planned(len(work.images), stack.reference, pairs, work.shared)
+    work.match([pair for pair in wanted if len(stack.images) in pair])
     _second_chances(work, stack.reference, len(work.images), only=len(stack.images))
     return _assembled(type(stack), work, stack.reference, pairs)
 
@@ -95,7 +109,14 @@ class _Work:
         self.sources: list[Source] = [open_source(image, **reading) for image in images]
         self.images = [str(image) if isinstance(image, str | Path) else as_image(image, **reading) for image in images]
         self.names = [str(image) if isinstance(image, str | Path) else f"image {i}" for i, image in enumerate(images)]
+        self.shared = SharedGround(self.sources)
         self.found: dict[tuple[int, int], StackPair] = {}
+        days = [DAY.search(Path(name).name) for name in self.names]
+        known = [day[0] for day in days if day is not None]
+        if len(known) == len(days) and known != sorted(known):
+            logger.warning(
+                "the days in the images' names do not ascend: images are taken in the order of time as given"
+            )
 
     def match(self, wanted: Sequence[tuple[int, int]]) -> None:
         """Match what is not matched yet."""
@@ -118,17 +139,13 @@ class _Work:
                 self.progress(done, total)
 
     def _digest(self, pair: tuple[int, int]) -> str:
-        content = {
-            "inputs": [self.sources[i].identity() for i in pair],
-            "options": plain(
-                {
-                    k: v if isinstance(v, str | int | float | bool) or v is None else repr(v)
-                    for k, v in self.options.items()
-                }
-            ),
-            "versions": versions(),
-        }
-        return digest_of(content)
+        return digest_of(
+            {
+                "inputs": [self.sources[i].identity() for i in pair],
+                "options": _options_digest(self.options),
+                "versions": versions(),
+            }
+        )
 
     def _run(self, todo: Sequence[tuple[int, int]]) -> Any:
         large = any(
@@ -166,6 +183,25 @@ def match_pair(options: Mapping[str, Any], item: tuple[int, int, Any, Any]) -> S
     return weighed(result, first, second, shape, again)
 
 
+def _options_digest(options: Mapping[str, Any]) -> str:
+    """Digest of what a pair is matched with: parameters of parts by their values, files by their content."""
+
+    def parts(value: Any) -> dict[str, Any] | None:
+        if isinstance(value, Model):
+            return dict(value.parameters)
+        if isinstance(value, tuple(KINDS.values())):
+            return {name: getattr(value, name) for name in inspect.signature(type(value)).parameters}
+        return None
+
+    try:
+        return digest_value(options, parts)
+    except TypeError as error:
+        raise ParameterError(
+            f"finished pairs cannot be kept: what an option holds cannot be told for certain ({error}); leave resume "
+            "out, or give names and numbers"
+        ) from error
+
+
 def _loaded(files: ArrayFiles) -> StackPair | None:
     columns = files.load("result")
     if columns is None:
@@ -198,7 +234,7 @@ def _second_chances(work: _Work, reference: int, count: int, only: int | None = 
             open_ = [
                 i
                 for i in sorted(reached, key=lambda i: (abs(i - image), i))
-                if tuple(sorted((i, image))) not in work.found
+                if tuple(sorted((i, image))) not in work.found and work.shared(i, image) != 0
             ]
             more += [(min(open_[0], image), max(open_[0], image))] if open_ else []
         if not more:
@@ -243,9 +279,11 @@ def _assembled(kind: type[Stack], work: _Work, reference: int, pairs: Any) -> St
 def _why(pairs: Sequence[StackPair], image: int) -> str:
     """Why no trusted pair leads to an image."""
     own = [pair for pair in pairs if image in (pair.first, pair.second)]
+    if not own:
+        return "it shares no ground with the others, as their files say where they lie"
     thrown = [pair for pair in own if pair.model is not None]
     if thrown:
         worst = max((p.misfit for p in thrown if np.isfinite(p.misfit)), default=float("nan"))
         told = f" (by {worst:.1f} px)" if np.isfinite(worst) else ""
         return f"none of its {len(own)} pairs agrees with the others{told}"
-    return f"none of its {len(own)} pairs can be trusted; the last one: {own[-1].reason}" if own else "it has no pair"
+    return f"none of its {len(own)} pairs can be trusted; the last one: {own[-1].reason}"

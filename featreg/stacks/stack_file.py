@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +13,8 @@ import numpy as np
 
 from featreg.errors import FeatregError, InputError
 from featreg.geometry import model_from_dict, model_to_dict
+from featreg.interfaces import Model
+from featreg.registry import model_name
 from featreg.results.json_file import plain
 from featreg.runtime.files import write_atomic
 from featreg.stacks.closure import Loop
@@ -25,6 +29,7 @@ SCHEMA_VERSION = 1
 
 def write_stack(stack: Stack, path: Path) -> None:
     """Write a stack; the file appears whole or not at all."""
+    options = _written(stack.provenance.get("options", {}))["options"]
     content = {
         "schema_version": SCHEMA_VERSION,
         "kind": "stack",
@@ -39,7 +44,10 @@ def write_stack(stack: Stack, path: Path) -> None:
         "loops": [list(loop) for loop in stack.loops],
         "jumps": [list(jump) for jump in stack.jumps],
         "pairs": [pair.to_dict() for pair in stack.pairs],
-        "provenance": plain(dict(stack.provenance)),
+        "provenance": {
+            **plain(dict(stack.provenance)),
+            "options": options,
+        },
     }
     write_atomic(path, json.dumps(content, indent=1, allow_nan=False).encode())
 
@@ -62,7 +70,7 @@ def read_stack(path: Path, kind: type[Stack]) -> Stack:
             [Loop(int(a), int(b), int(c), float(v)) for a, b, c, v in values["loops"]],
             [Jump(int(i), float(dx), float(dy)) for i, dx, dy in values["jumps"]],
             [StackPair.from_dict(pair) for pair in values["pairs"]],
-            values["provenance"],
+            {**values["provenance"], "options": _given(values["provenance"]["options"])},
             [str(name) for name in values["names"]],
         )
         _check(made)
@@ -73,6 +81,49 @@ def read_stack(path: Path, kind: type[Stack]) -> Stack:
         raise InputError(
             f"'{path}' is no stack of featreg ({error}); give the stack.json of `featreg stack`"
         ) from error
+
+
+def _written(value: Any) -> Any:
+    """An option in the types of JSON, so that `_given` gives it back: numbers that JSON lacks by their names."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    if value is None or isinstance(value, bool | str | int):
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else {"number": repr(value)}
+    if isinstance(value, complex):
+        return {"number": repr(value)}
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, list | tuple):
+        return [_written(part) for part in value]
+    if isinstance(value, Mapping):
+        return {"options": {str(name): _written(part) for name, part in value.items()}}
+    if isinstance(value, type) and issubclass(value, Model):
+        return model_name(value)
+    return {"object": plain(value) if callable(value) else type(value).__qualname__}
+
+
+def _given(value: Any) -> Any:
+    """What `_written` wrote; an object that no file holds is named, see `Unkept`."""
+    if isinstance(value, list):
+        return [_given(part) for part in value]
+    if not isinstance(value, Mapping):
+        return value
+    if "number" in value:
+        number = complex(value["number"])
+        return number if value["number"].endswith(("j", "j)")) else number.real
+    if "object" in value:
+        return Unkept(str(value["object"]))
+    # The options themselves, and older files, are mappings as they are.
+    return {str(name): _given(part) for name, part in value.get("options", value).items()}
+
+
+@dataclass(frozen=True)
+class Unkept:
+    """An option that was an object of the caller's program, of which a file keeps the name only."""
+
+    name: str
 
 
 def _check(stack: Stack) -> None:

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 import rasterio
 
+import featreg
 from featreg.cli.main import main
+from featreg.displacement.mintpy import dates_of
 from featreg.simulate import displaced_pair, sar_series
 
 
@@ -29,17 +31,37 @@ def test_offsets_writes_the_bands_and_a_picture(tmp_path: Path, capsys: pytest.C
     assert picture.stat().st_size > 20_000
 
 
-def test_offsets_for_mintpy(tmp_path: Path) -> None:
+def test_offsets_for_mintpy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     h5py = pytest.importorskip("h5py")
     pair = displaced_pair("fault", (200, 200), size=4.0, seed=2)
-    names = [str(tmp_path / name) for name in ("a.npy", "b.npy")]
+    names = [str(tmp_path / name) for name in ("S1_20210401T052622.npy", "later.npy")]
     for name, image in zip(names, (pair.reference, pair.secondary), strict=True):
         np.save(name, image)
-    assert main(["offsets", *names, "-o", str(tmp_path / "offsets.h5"), "--workers", "1"]) == 0
-    with h5py.File(tmp_path / "offsets.h5") as file:
-        assert {"rangeOffset", "azimuthOffset", "rangeOffsetStd", "azimuthOffsetStd", "offsetSNR"} <= set(file)
-        assert file.attrs["FILE_TYPE"] == "offset"
-        assert file.attrs["LENGTH"] == str(file["rangeOffset"].shape[0])
+    made = str(tmp_path / "offsets.h5")
+    assert main(["offsets", *names, "-o", made, "--workers", "1"]) == 2
+    assert "YYYYMMDD,YYYYMMDD" in capsys.readouterr().err
+    assert main(["offsets", *names, "-o", made, "--dates", "20210401,20211301", "--workers", "1"]) == 2
+    assert "two days" in capsys.readouterr().err
+    assert main(["offsets", *names, "-o", made, "--dates", "20210401,20210413", "--workers", "1"]) == 0
+    field = featreg.offsets(*names)
+    # What mintpy.objects.stack.ifgramStack asks of a file.
+    with h5py.File(made) as file:
+        assert file["date"][:].tolist() == [[b"20210401", b"20210413"]]
+        assert file["bperp"].shape == file["dropIfgram"].shape == (1,)
+        assert file["dropIfgram"][0]
+        assert file.attrs["FILE_TYPE"] == "ifgramStack"
+        rows, cols = field.grid.cells
+        assert (file.attrs["LENGTH"], file.attrs["WIDTH"]) == (str(rows), str(cols))
+        for name, values in (("rangeOffset", field.dx), ("azimuthOffset", field.dy)):
+            assert np.allclose(file[name][0], np.where(field.good, values, np.nan), atol=1e-6, equal_nan=True)
+            assert np.array_equal(np.isnan(file[f"{name}Std"][0]), ~field.good)
+        written = file["rangeOffset"][0]
+    field.to_file(tmp_path / "offsets.tif")
+    with rasterio.open(tmp_path / "offsets.tif") as raster:
+        assert np.array_equal(raster.read(1), written, equal_nan=True)
+    named = str(tmp_path / "S1_20210413T052622.npy")
+    np.save(named, pair.secondary)
+    assert dates_of(names[0], named) == ("20210401", "20210413")
 
 
 def test_offsets_that_find_nothing_say_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

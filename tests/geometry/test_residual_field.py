@@ -6,6 +6,7 @@ import json
 import pickle
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -52,6 +53,18 @@ def test_noise_is_smoothed(ties: tuple[FloatArray, FloatArray]) -> None:
     noise = np.random.default_rng(1).normal(0, 0.5, ties[1].shape)
     error = fitted(ties[0], ties[1] + noise)(inner()) - wavy(inner())
     assert np.sqrt((error**2).mean()) < 0.2
+
+
+def test_errors_that_neighbours_share_are_smoothed() -> None:
+    rng = np.random.default_rng(3)
+    here = rng.uniform(0, 1000, (4000, 2))
+    # Windows of 50 px that overlap: each error is the mean of those of the ground around.
+    ground = cv2.GaussianBlur(rng.normal(size=(1000, 1000, 2)), (0, 0), 20)
+    ground *= 0.5 / ground.std()
+    column, row = here.astype(int).T
+    there = Affine(PLANE)(here) + ground[row, column]
+    error = fitted(here, there)(inner()) - Affine(PLANE)(inner())
+    assert np.sqrt((error**2).mean()) < 0.25
 
 
 def test_an_affine_map_stays_one(ties: tuple[FloatArray, FloatArray]) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -40,7 +42,7 @@ def test_windows_that_do_not_correlate_change_nothing(series: SimulatedSeries) -
 
 
 def test_without_refinement_the_match_stands(series: SimulatedSeries) -> None:
-    job = {"method": "sar-orb", "model": "rigid", "seed": 0, "refine": False}
+    job: Any = {"method": "sar-orb", "model": "rigid", "seed": 0, "refine": False}
     stack = featreg.register_stack(series.images[:2], workers=1, **job)
     direct = featreg.match(series.images[0], series.images[1], **job)
     model = stack.pairs[0].model

@@ -8,13 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+import featreg
 from featreg.errors import ParameterError
-from featreg.geometry import Affine, Rigid, Translation
+from featreg.geometry import Affine, ResidualField, Rigid, Translation
+from featreg.io.raster_source import ImageSource
 from featreg.stacks.closure import closure_of, loops
+from featreg.stacks.ground import SharedGround
 from featreg.stacks.jumps import jumps
 from featreg.stacks.network import adjust
 from featreg.stacks.pairs import StackPair, planned
-from featreg.types import FloatArray
+from featreg.types import FloatArray, Geolocation
 
 SHAPE = (300, 400)
 X, Y = np.meshgrid(np.linspace(40, 360, 5), np.linspace(30, 270, 5))
@@ -57,6 +60,30 @@ def test_pairs_without_errors_give_the_models() -> None:
     assert all(p.weight > 0.99 for p in made.pairs)
 
 
+def test_residual_fields_are_followed_and_good_pairs_kept() -> None:
+    bends = np.random.default_rng(4).normal(0, 1, (5, 2))
+    bends[0] = 0
+    grid = np.stack(np.meshgrid(np.linspace(0, 399, 30), np.linspace(0, 299, 24)), -1).reshape(-1, 2)
+
+    def at(image: int, xy: FloatArray) -> FloatArray:
+        # Waves that no polynomial of low degree follows, another for each image.
+        x, y = xy.T / 60
+        return xy + np.column_stack([np.sin(x) * np.cos(y), np.cos(x + y)]) * bends[image]
+
+    def between(i: int, k: int) -> ResidualField:
+        made = ResidualField.from_estimate(at(i, grid), at(k, grid))
+        assert isinstance(made, ResidualField)
+        return made
+
+    covariance = np.tile(0.05**2 * np.eye(2), (len(NODES), 1, 1))
+    pairs = [StackPair(i, k, "ok", "", between(i, k), NODES, covariance) for i, k in planned(5, 0, 2)]
+    made = adjust(pairs, 5, 0, SHAPE, ResidualField)
+    assert all(pair.used for pair in made.pairs)
+    for image, model in enumerate(made.models):
+        assert model is not None
+        assert np.abs(model(NODES) - at(image, NODES)).max() < 0.1
+
+
 def test_a_pair_wrong_by_three_pixels_is_named_and_does_no_harm() -> None:
     models = truths(8, 1)
     rng = np.random.default_rng(2)
@@ -71,6 +98,29 @@ def test_a_pair_wrong_by_three_pixels_is_named_and_does_no_harm() -> None:
         for found, truth in zip(made.models, models, strict=True):
             assert found is not None
             assert error(found, truth) < 0.25
+
+
+def test_pairs_that_share_no_ground_are_passed_over() -> None:
+    # Two tracks, image by image: 0, 2, 4 and 1, 3, 5.
+    shared = {(i, k): float((i - k) % 2 == 0) for i in range(6) for k in range(6)}
+    assert planned(6, 0, None, lambda i, k: shared[i, k]) == [(0, 2), (0, 4), (1, 3), (1, 5), (2, 4), (3, 5)]
+    assert planned(6, 0, 1, lambda i, k: shared[i, k]) == [(0, 2), (1, 3), (2, 4), (3, 5)]
+    assert planned(6, 0, "chain", lambda i, k: shared[i, k]) == [(i, i + 1) for i in range(5)]
+    assert planned(4, 0, "all", lambda i, k: None) == planned(4, 0, "all")
+
+
+def test_the_share_of_the_ground_is_that_of_the_smaller_image() -> None:
+    def image(left: float, side: int) -> ImageSource:
+        place = Geolocation((10.0, 0.0, left, 0.0, -10.0, 4_000_000.0), "EPSG:32633")
+        noise = np.random.default_rng(0).gamma(1, 1, (side, side))
+        return ImageSource(replace(featreg.as_image(noise), geolocation=place))
+
+    whole, half, apart = image(500_000, 90), image(500_450, 45), image(503_000, 90)
+    bare = ImageSource(featreg.as_image(np.random.default_rng(0).gamma(1, 1, (90, 90))))
+    shared = SharedGround([whole, half, apart, bare])
+    assert shared(0, 1) == shared(1, 0) == 1.0
+    assert shared(0, 2) == 0.0
+    assert shared(0, 3) is None
 
 
 def test_the_network_is_better_than_direct_pairs_where_errors_are_independent() -> None:

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,12 @@ import featreg
 from featreg import Stack
 from featreg.errors import InputError, ParameterError
 from featreg.geometry import Affine
+from featreg.io.raster_source import ImageSource
 from featreg.simulate import SimulatedSeries, sar_series
+from featreg.stacks.run import _options_digest
+from featreg.types import Geolocation
+
+READ = ImageSource.read
 
 JOB: Any = {"model": "rigid", "seed": 0}
 
@@ -148,6 +154,9 @@ def test_a_cube(stack: Stack) -> None:
 
 
 def test_errors_say_what_would_be_right(series: SimulatedSeries) -> None:
+    for wrong in ("abc", Path("abc"), 7):
+        with pytest.raises(InputError, match="list of paths"):
+            featreg.register_stack(wrong)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="at least 2"):
         featreg.register_stack(series.images[:1])
     with pytest.raises(ParameterError, match="from 0 to 4"):
@@ -163,7 +172,86 @@ def test_a_cube_as_a_file(stack: Stack, tmp_path: Path) -> None:
     pytest.importorskip("h5netcdf")
     stack.to_file(tmp_path / "cube.nc")
     with xarray.open_dataset(tmp_path / "cube.nc", engine="h5netcdf") as cube:
-        assert cube["amplitude"].shape == (4, 260, 260)
+        assert cube["amplitude"].dims == ("date", "y", "x")
         assert np.allclose(cube["dx"].values, stack.to_dataframe()["dx"].dropna())
+        assert np.array_equal(cube["amplitude"].values, stack.to_xarray()["amplitude"].values, equal_nan=True)
     with pytest.raises(InputError, match="must end in"):
         stack.to_file(tmp_path / "cube.tif")
+
+
+@pytest.mark.parametrize("name", ["cube.nc", "cube.zarr"])
+def test_a_complex_cube_in_its_place(series: SimulatedSeries, stack: Stack, name: str, tmp_path: Path) -> None:
+    xarray = pytest.importorskip("xarray")
+    pytest.importorskip("zarr" if name.endswith("zarr") else "h5netcdf")
+    phase = np.exp(1j * np.linspace(0, 1, 260)).astype(np.complex64)
+    place = Geolocation((10.0, 0.0, 500_000.0, 0.0, -10.0, 4_000_000.0), "EPSG:32633")
+    images = [replace(featreg.as_image(image * phase), geolocation=place) for image in series.images]
+    made = replace(stack, images=images)
+    made.to_file(tmp_path / name)
+    made.to_file(tmp_path / name)
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    engine: Any = {"engine": "h5netcdf", "invalid_netcdf": True} if name.endswith("nc") else {"engine": "zarr"}
+    with xarray.open_dataset(tmp_path / name, **engine) as cube:
+        samples = cube["complex_samples"]
+        assert samples.dtype == np.complex64
+        assert samples.dims == ("date", "y", "x")
+        whole = made.warp()[4]
+        assert np.array_equal(samples.values[3], whole, equal_nan=True)
+        assert cube["x"].values[0] == 500_005.0
+        assert "32633" in str(cube["spatial_ref"].attrs["crs_wkt"])
+
+
+def test_windows_make_the_whole(
+    series: SimulatedSeries, stack: Stack, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = stack.warp()
+    monkeypatch.setattr("featreg.products.files.WINDOW", 100)
+    read: list[tuple[int, int]] = []
+    monkeypatch.setattr(ImageSource, "read", lambda self, window: (read.append(window.shape), READ(self, window))[1])
+    files = stack.warp(tmp_path)
+    for path, values in zip(files, whole, strict=True):
+        if path is not None:
+            again = featreg.as_image(path)
+            assert np.array_equal(again.mask, np.isfinite(values))
+            assert np.allclose(again.pixels[again.mask], values[again.mask], atol=1e-3)
+    assert max(max(shape) for shape in read) < 160
+
+
+def test_options_survive_the_file(stack: Stack, tmp_path: Path) -> None:
+    options = {
+        "method": "sar-orb", "model": "rigid", "seed": 0, "nodata": float("nan"), "scale": None,
+        "initial": Affine(np.eye(3)[:2]), "threshold": np.float32(2.5), "margins": (1, 2),
+    }  # fmt: skip
+    made = replace(stack, provenance={**stack.provenance, "options": options})
+    made.to_json(tmp_path / "stack.json")
+    again = Stack.from_json(tmp_path / "stack.json")
+    kept = dict(again.provenance["options"])
+    assert np.isnan(kept.pop("nodata"))
+    assert kept.pop("initial").name == "Affine"
+    assert kept == {
+        "method": "sar-orb",
+        "model": "rigid",
+        "seed": 0,
+        "scale": None,
+        "threshold": 2.5,
+        "margins": [1, 2],
+    }
+    with pytest.raises(InputError, match="name of initial"):
+        again.add(np.ones((64, 64)))
+
+
+def test_finished_pairs_know_their_options_by_value() -> None:
+    class Part:
+        """Shown alike whatever it does."""
+
+        def __init__(self, size: int) -> None:
+            self.size = size
+
+        def __repr__(self) -> str:
+            return "Part"
+
+    one, other = (_options_digest({"window": np.full(3, size)}) for size in (1, 2))
+    assert one != other
+    assert _options_digest({"window": np.full(3, 1)}) == one
+    with pytest.raises(ParameterError, match="leave resume"):
+        _options_digest({"part": Part(1)})
