@@ -43,6 +43,8 @@ COARSE_LIMIT, LIMIT = 3.0, 4.0
 #: second number, while less than the share ENOUGH of the windows that correlate have their peak within reach.
 STRAIN = 0.4
 PASSES, MOST_PASSES, ENOUGH = 2, 4, 0.95
+#: Variances of a cell that a motion not linear within its window must exceed to count.
+BENT = 2.0
 #: RMS distance of a neighbourhood from a plane, px, beyond which it is none.
 ROUGH = 0.5
 
@@ -159,7 +161,32 @@ def _at_full_size(
         moved = (read + np.where(sound[..., None], residual, climbed)).astype(np.float32)
         field = smoothed(filled(moved, high & ~outliers(moved, high, COARSE_LIMIT)))
     made = grid_peaks(first, second, windows, expected, residual)
-    return made.shift, made.covariance, height, sound
+    covariance = made.covariance + _bent(made.shift, made.covariance, sound & high, windows)
+    return made.shift, covariance, height, sound
+
+
+def _bent(shift: FloatArray, covariance: FloatArray, good: BoolArray, windows: WindowGrid) -> FloatArray:
+    """(rows, cols, 2, 2) px^2 by which windows miss the motion of their middle where this is not linear within them.
+
+    The mean of a quadratic displacement over a window of side w lies w^2 / 24 times the sum of its two second
+    derivatives from the displacement of the middle. These are differences of cells half a window apart, which err
+    themselves: what counts is by how much the square of that distance exceeds `BENT` variances of the cell.
+    """
+    rows, cols = windows.shape
+    steps = [
+        float(np.diff(starts).mean()) if len(starts) > 1 else windows.window for starts in (windows.tops, windows.lefts)
+    ]
+    down, right = (max(1, round(windows.window / 2 / step)) for step in steps)
+    field = filled(np.nan_to_num(shift).astype(np.float32), good & np.isfinite(shift).all(axis=-1)).astype(np.float64)
+    wide = np.pad(field, ((down, down), (right, right), (0, 0)), mode="edge")
+    inner_rows, inner_cols = slice(down, down + rows), slice(right, right + cols)
+    along_y = wide[2 * down :, inner_cols] + wide[:rows, inner_cols] - 2 * field
+    along_x = wide[inner_rows, 2 * right :] + wide[inner_rows, :cols] - 2 * field
+    missed = windows.window**2 / 24 * (along_y / (down * steps[0]) ** 2 + along_x / (right * steps[1]) ** 2)
+    out = np.zeros_like(covariance)
+    for k in range(2):
+        out[..., k, k] = np.maximum(missed[..., k] ** 2 - BENT * np.nan_to_num(covariance[..., k, k]), 0)
+    return out
 
 
 def expectation(field: F32, windows: WindowGrid) -> Expected:

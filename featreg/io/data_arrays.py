@@ -19,10 +19,11 @@ import numpy as np
 from featreg.errors import InputError
 from featreg.io.arrays import plain_array
 from featreg.io.bands import BandLike, choose, name_of, read_choice
+from featreg.io.gridded import within_range
 from featreg.io.reader import Band, Raster
 from featreg.io.scales import scale_in_words
 from featreg.io.window import Window
-from featreg.types import FloatArray, Geolocation
+from featreg.types import BoolArray, FloatArray, Geolocation
 
 #: Dimensions along rows and along columns, the pairs tried in order.
 GRIDS = (("y", "x"), ("latitude", "longitude"), ("lat", "lon"), ("northing", "easting"), ("line", "sample"),
@@ -105,9 +106,20 @@ class DataArrayReader:
         nodata = _number(attributes.get("_FillValue", attributes.get("missing_value", attributes.get("nodata"))))
         return [
             Band(names[k] if not names[k].isdigit() else "", self.shape, array.dtype.name, said=words[k],
-                 nodata=nodata, gain=float(gains[k]), offset=float(offsets[k]))
+                 nodata=nodata, gain=self._stated("scale_factor", gains[k]),
+                 offset=self._stated("add_offset", offsets[k]))
             for k in range(count)
         ]  # fmt: skip
+
+    def _stated(self, name: str, value: Any) -> float:
+        """The finite number that an attribute holds."""
+        try:
+            number = float(value)
+        except (TypeError, ValueError):
+            number = np.nan
+        if not np.isfinite(number):
+            raise InputError(f"{self.name}: its attribute {name} must be a finite number, got {value!r:.60}")
+        return number
 
     def geolocation(self, band: int) -> Geolocation | None:
         """Where the array lies, None where nothing says so."""
@@ -118,7 +130,9 @@ class DataArrayReader:
         system = _system(self.array)
         crs = _wkt(next((str(system[n]) for n in ("crs_wkt", "spatial_ref") if system.get(n)), None), self.name)
         if system.get("gcps"):
-            return Geolocation(crs=crs, gcps=_gcps(system["gcps"], self.name))
+            gcps = _gcps(system["gcps"], self.name)
+            gcps[:, :2] -= self._cut()
+            return Geolocation(crs=crs, gcps=gcps)
         transform = self._transform(system)
         if transform is None and crs:
             logger.warning("%s: has a coordinate system but no even coordinates: its place is not known", self.name)
@@ -127,15 +141,30 @@ class DataArrayReader:
             return None
         return Geolocation(transform, crs)
 
+    def _cut(self) -> FloatArray:
+        """(2,) px by which an array was cut at the left and at the top from the file in which its control points count.
+
+        Coordinates that count pixels tell it, from 0 or as the middles 0.5, 1.5, ...; without any nothing does.
+        """
+        starts = np.zeros(2)
+        for k, dim in enumerate((self.columns, self.rows)):
+            axis = _axis(self.array, dim)
+            if axis is not None and axis[1] == 1.0 and axis[0] % 1.0 in (0.0, 0.5):
+                starts[k] = np.floor(axis[0])
+        return starts
+
     def _transform(self, system: Mapping[str, Any]) -> tuple[float, float, float, float, float, float] | None:
         """The geotransform: that of its file, moved to what is left of it, else that of the coordinates."""
         stated = None
         if system.get("GeoTransform") is not None:
             given = system["GeoTransform"]
-            values = [float(v) for v in (given.split() if isinstance(given, str) else given)]
-            if len(values) == 6:
-                c, a, b, f, d, e = values
-                stated = a, b, c, d, e, f
+            try:
+                c, a, b, f, d, e = (float(v) for v in (given.split() if isinstance(given, str) else given))
+            except (TypeError, ValueError) as error:
+                raise InputError(
+                    f"{self.name}: its GeoTransform must be six numbers as GDAL writes them, got {given!r:.60}"
+                ) from error
+            stated = a, b, c, d, e, f
         x, y = (_axis(self.array, dim) for dim in (self.columns, self.rows))
         if x is None or y is None:
             there = all(dim not in self.array.coords for dim in (self.rows, self.columns))
@@ -162,7 +191,21 @@ class DataArrayReader:
         if packed and samples.dtype == np.float32 and (known.gain, known.offset) != (1.0, 0.0):
             # Masked integers are unpacked as the integers of the file are.
             samples = samples.astype(np.float64)
+        more = self._within_range(samples)
+        if more is not None:
+            shown = more if shown is None else shown & more
         return Raster(samples, known.dtype, shown, known.nodata, known.gain, known.offset, said=known.said)
+
+    def _within_range(self, samples: Any) -> BoolArray | None:
+        """Which samples the conventions of netCDF take for data; what xarray unpacked is compared unpacked."""
+        attributes = dict(self.array.attrs)
+        gain, offset = (self.array.encoding.get(name) for name in ("scale_factor", "add_offset"))
+        if gain is not None or offset is not None:
+            gain, offset = 1.0 if gain is None else float(gain), 0.0 if offset is None else float(offset)
+            for name in ("valid_min", "valid_max", "valid_range"):
+                if name in attributes:
+                    attributes[name] = np.asarray(attributes[name], np.float64) * gain + offset
+        return within_range(samples, attributes, samples.dtype)
 
     def close(self) -> None:
         """Nothing is open."""

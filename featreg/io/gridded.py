@@ -141,9 +141,11 @@ class GriddedReader:
         rows, cols = slice(window.y, window.y + window.height), slice(window.x, window.x + window.width)
         with decoding(self.called, self.driver):
             axes = (cols, rows) if self._turned else (rows, cols)
-            samples = self._images[band].samples(*axes)
+            variable = self._images[band]
+            samples = variable.samples(*axes)
             samples = np.ascontiguousarray(samples.T) if self._turned else samples
-        return Raster(samples, known.dtype, None, known.nodata, known.gain, known.offset, said=known.said)
+        shown = within_range(samples, variable.attributes, variable.dtype, variable.unsigned)
+        return Raster(samples, known.dtype, shown, known.nodata, known.gain, known.offset, said=known.said)
 
     def close(self) -> None:
         self._close()
@@ -298,6 +300,44 @@ def _even(values: FloatArray) -> float | None:
 
 def _first(attributes: Mapping[str, Any], *names: str) -> float | None:
     return next((n for name in names if (n := number_of(attributes.get(name))) is not None), None)
+
+
+def within_range(
+    samples: NDArray[Any], attributes: Mapping[str, Any], dtype: np.dtype[Any], unsigned: bool = False
+) -> BoolArray | None:
+    """Return which samples the conventions of netCDF take for data; None where nothing but a fill value is stated.
+
+    Besides `_FillValue` these know `missing_value`, one or several, and `valid_min`, `valid_max` or `valid_range`; all
+    are compared with the samples as they are stored, before scale and offset.
+    """
+    low, high = (number_of(attributes.get(f"valid_{end}")) for end in ("min", "max"))
+    ends = _numbers(attributes.get("valid_range"))
+    if len(ends) == 2:
+        low, high = ends
+    turn = 256.0**dtype.itemsize if unsigned else 0.0
+    low, high = (end + turn if end is not None and end < 0 else end for end in (low, high))
+    missing = [value + turn if value < 0 else value for value in _numbers(attributes.get("missing_value"))]
+    if samples.dtype.kind == "c" or (low is None and high is None and not missing):
+        return None
+    shown = np.ones(samples.shape, np.bool_)
+    if low is not None:
+        shown &= ~(samples < low)
+    if high is not None:
+        shown &= ~(samples > high)
+    for value in missing:
+        # Written as the samples are: 1e20 of a double is another number than that of a float.
+        with np.errstate(over="ignore", invalid="ignore"):
+            shown &= samples != (np.float64(value).astype(samples.dtype) if samples.dtype.kind == "f" else value)
+    return shown
+
+
+def _numbers(value: Any) -> list[float]:
+    """The numbers that an attribute holds, none where it holds something else."""
+    try:
+        found = np.asarray(value)
+        return [float(v) for v in found.ravel()] if found.dtype.kind in "uif" and found.size <= 64 else []
+    except (TypeError, ValueError):
+        return []
 
 
 def _hole(variable: Variable) -> float | None:

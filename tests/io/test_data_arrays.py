@@ -230,3 +230,36 @@ def test_xarray_is_left_alone_where_nobody_uses_it() -> None:
         "assert not found, found"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_control_points_follow_the_part_that_is_left(tmp_path: Path) -> None:
+    points = np.array([[20.0, 30.0, 5.0, 50.0, 0.0], [60.0, 5.0, 5.1, 50.2, 10.0], [3.0, 50.0, 4.9, 49.9, 0.0]])
+    samples = np.random.default_rng(0).gamma(1, 1, (60, 70)).astype(np.float32)
+    write_geotiff(tmp_path / "a.tif", samples, Geolocation(crs="EPSG:4326", gcps=points))
+    # It has no coordinates as it comes; without them nothing tells that an array was cut.
+    bare = rioxarray.open_rasterio(tmp_path / "a.tif")
+    counted, middles = (bare.assign_coords(y=np.arange(60) + half, x=np.arange(70) + half) for half in (0.0, 0.5))
+    parts = [(bare, (0, 0)), *((whole[:, 8:40, 11:], (11, 8)) for whole in (counted, middles))]
+    for part, corner in parts:
+        place = as_image(part).geolocation
+        assert place is not None
+        assert place.gcps is not None
+        assert np.allclose(place.gcps, points - [*corner, 0, 0, 0])
+
+
+@pytest.mark.parametrize("attributes", [{"scale_factor": "two"}, {"add_offset": float("nan")}])
+def test_attributes_that_are_no_numbers_are_named(attributes: dict[str, Any]) -> None:
+    samples = np.random.default_rng(0).gamma(1, 1, (40, 40))
+    with pytest.raises(InputError, match=next(iter(attributes))):
+        as_image(xr.DataArray(samples, dims=("y", "x"), attrs=attributes))
+    system = xr.Variable((), 0, {"GeoTransform": "1 2 three"})
+    with pytest.raises(InputError, match="six numbers"):
+        as_image(xr.DataArray(samples, dims=("y", "x"), coords={"spatial_ref": system}))
+
+
+def test_a_valid_range_of_unpacked_samples() -> None:
+    samples = np.random.default_rng(0).gamma(1, 1, (40, 40)) + 1
+    samples[0, 0] = 400
+    array = xr.DataArray(samples, dims=("y", "x"), attrs={"valid_range": [0, 1000]})
+    array.encoding = {"scale_factor": 0.1, "dtype": "int16"}
+    assert np.flatnonzero(~as_image(array).mask).tolist() == [0]

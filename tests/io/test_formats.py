@@ -587,3 +587,26 @@ def test_standards_of_nitf_are_named(standard: str, text: str, tmp_path: Path) -
             as_image(path)
     else:
         np.testing.assert_array_equal(as_image(path).pixels, BYTES)
+
+
+def test_missing_values_and_valid_ranges_of_netcdf(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    rng = np.random.default_rng(0)
+    samples = rng.integers(1, 200, (32, 40)).astype(np.int16)
+    samples[0, :4] = -9, -8, 5000, -7
+    cases = (
+        ({"missing_value": np.array([-9, -8], np.int16)}, {0, 1}),
+        ({"missing_value": np.int16(-9), "_FillValue": np.int16(-8)}, {0, 1}),
+        ({"valid_range": np.array([0, 1000], np.int16), "scale_factor": 0.5}, {0, 1, 2, 3}),
+        ({"valid_max": np.int16(1000), "valid_min": np.int16(-8)}, {0, 2}),
+    )
+    for number, (attributes, hidden) in enumerate(cases):
+        path = tmp_path / f"{number}.h5"
+        with h5py.File(path, "w") as file:
+            file["sea"] = samples
+            file["sea"].attrs.update(attributes)
+        image = as_image(path, scale="intensity")
+        assert set(np.flatnonzero(~image.mask[0]).tolist()) == hidden, attributes
+        assert image.mask[1:].all()
+        window = open_source(path, scale="intensity").read(Window(0, 0, 20, 20))
+        assert np.array_equal(window.mask, image.mask[:20, :20])
