@@ -115,7 +115,7 @@ def planned(
         return share is None or share >= LEAST_SHARED
 
     def following(reach: int) -> list[tuple[int, int]]:
-        found = []
+        found: list[tuple[int, int]] = []
         for i in range(count):
             found += itertools.islice(((i, k) for k in range(i + 1, count) if meet(i, k)), reach)
         return found

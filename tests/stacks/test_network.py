@@ -68,7 +68,7 @@ def test_residual_fields_are_followed_and_good_pairs_kept() -> None:
     def at(image: int, xy: FloatArray) -> FloatArray:
         # Waves that no polynomial of low degree follows, another for each image.
         x, y = xy.T / 60
-        return xy + np.column_stack([np.sin(x) * np.cos(y), np.cos(x + y)]) * bends[image]
+        return np.asarray(xy + np.column_stack([np.sin(x) * np.cos(y), np.cos(x + y)]) * bends[image])
 
     def between(i: int, k: int) -> ResidualField:
         made = ResidualField.from_estimate(at(i, grid), at(k, grid))

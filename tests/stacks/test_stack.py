@@ -19,10 +19,10 @@ import featreg
 from featreg import Stack
 from featreg.errors import InputError, ParameterError
 from featreg.geometry import Affine
-from featreg.io.raster_source import ImageSource
+from featreg.io.raster_source import ImageSource, Window
 from featreg.simulate import SimulatedSeries, sar_series
 from featreg.stacks.run import _options_digest
-from featreg.types import Geolocation
+from featreg.types import Geolocation, Image
 
 READ = ImageSource.read
 
@@ -207,7 +207,12 @@ def test_windows_make_the_whole(
     whole = stack.warp()
     monkeypatch.setattr("featreg.products.files.WINDOW", 100)
     read: list[tuple[int, int]] = []
-    monkeypatch.setattr(ImageSource, "read", lambda self, window: (read.append(window.shape), READ(self, window))[1])
+
+    def watched(source: ImageSource, window: Window) -> Image:
+        read.append(window.shape)
+        return READ(source, window)
+
+    monkeypatch.setattr(ImageSource, "read", watched)
     files = stack.warp(tmp_path)
     for path, values in zip(files, whole, strict=True):
         if path is not None:
