@@ -70,14 +70,14 @@ def read_stack(path: Path, kind: type[Stack]) -> Stack:
             [Loop(int(a), int(b), int(c), float(v)) for a, b, c, v in values["loops"]],
             [Jump(int(i), float(dx), float(dy)) for i, dx, dy in values["jumps"]],
             [StackPair.from_dict(pair) for pair in values["pairs"]],
-            {**values["provenance"], "options": _given(values["provenance"]["options"])},
+            {**values["provenance"], "options": _options(values["provenance"]["options"])},
             [str(name) for name in values["names"]],
         )
         _check(made)
         return made
     except OSError as error:
         raise InputError(f"cannot read '{path}': {error.strerror or error}") from error
-    except (ValueError, KeyError, TypeError, IndexError, FeatregError) as error:
+    except (ValueError, KeyError, TypeError, IndexError, AttributeError, FeatregError) as error:
         raise InputError(
             f"'{path}' is no stack of featreg ({error}); give the stack.json of `featreg stack`"
         ) from error
@@ -101,7 +101,13 @@ def _written(value: Any) -> Any:
         return {"options": {str(name): _written(part) for name, part in value.items()}}
     if isinstance(value, type) and issubclass(value, Model):
         return model_name(value)
-    return {"object": plain(value) if callable(value) else type(value).__qualname__}
+    if isinstance(value, Model):
+        return {"model": model_to_dict(value)}
+    return {"object": getattr(value, "__qualname__", type(value).__qualname__)}
+
+
+def _options(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {str(name): _given(part) for name, part in values.items()}
 
 
 def _given(value: Any) -> Any:
@@ -113,10 +119,11 @@ def _given(value: Any) -> Any:
     if "number" in value:
         number = complex(value["number"])
         return number if value["number"].endswith(("j", "j)")) else number.real
+    if "model" in value:
+        return model_from_dict(value["model"])
     if "object" in value:
         return Unkept(str(value["object"]))
-    # The options themselves, and older files, are mappings as they are.
-    return {str(name): _given(part) for name, part in value.get("options", value).items()}
+    return _options(value["options"])
 
 
 @dataclass(frozen=True)

@@ -223,16 +223,18 @@ def test_windows_make_the_whole(
 
 
 def test_options_survive_the_file(stack: Stack, tmp_path: Path) -> None:
-    options = {
+    options: dict[str, Any] = {
         "method": "sar-orb", "model": "rigid", "seed": 0, "nodata": float("nan"), "scale": None,
         "initial": Affine(np.eye(3)[:2]), "threshold": np.float32(2.5), "margins": (1, 2),
+        "focus": np.median,
     }  # fmt: skip
     made = replace(stack, provenance={**stack.provenance, "options": options})
     made.to_json(tmp_path / "stack.json")
     again = Stack.from_json(tmp_path / "stack.json")
     kept = dict(again.provenance["options"])
     assert np.isnan(kept.pop("nodata"))
-    assert kept.pop("initial").name == "Affine"
+    assert kept.pop("initial").parameters == options["initial"].parameters
+    assert kept.pop("focus").name == "median"
     assert kept == {
         "method": "sar-orb",
         "model": "rigid",
@@ -241,7 +243,7 @@ def test_options_survive_the_file(stack: Stack, tmp_path: Path) -> None:
         "threshold": 2.5,
         "margins": [1, 2],
     }
-    with pytest.raises(InputError, match="name of initial"):
+    with pytest.raises(InputError, match="name of focus"):
         again.add(np.ones((64, 64)))
 
 
