@@ -148,7 +148,7 @@ def agreement_gates(
         )
     if whole < COMPARABLE:
         return gates, 0.0
-    drift = windows.drift
+    drift = windows.drift if limits.drift_px < math.inf else None
     if drift is not None:
         gates["drift"] = Gate(
             drift,

@@ -69,7 +69,7 @@ class Limits:
     rival : distinct tie points of the next best model over those of the model, at most; half of it where a refinement
         found nothing
     drift_px : root mean square over the windows of the images of the affine field in which they move beyond the model,
-        at most
+        at most; inf for no such gate
     local : share of the image that moves otherwise than the model, at most; half of it where a refinement found nothing
     alias : correlation of the aligned images at the best other shift, or after half a turn, over that at the model, at
         most
