@@ -243,6 +243,7 @@ def judged(
             stated=stated,
             measured=draft.measured,
             chance=chance,
+            refining="refine" in draft.stages,
         )
         return assess(evidence, limits, further)
 

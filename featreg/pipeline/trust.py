@@ -56,7 +56,8 @@ class Limits:
     stability_px : root mean square over the image of the model's jackknife error, regions of tie points left out, at
         most
     stability_by_spread_px : the same over the share of the image's cells that hold a tie point, at most; nine tenths of
-        it for models that bend, which swing more beyond their tie points
+        it for models that bend, which swing more beyond their tie points; not where no refinement was asked for, whose
+        tie points fill what the images share
     anisotropy : largest ratio of the model's two scales
     distortion_px : root mean square over the image of what a stretch, shear or zoom of the tie points adds to a
         translation, rigid or similarity model, at most; inf for no such gate
@@ -126,6 +127,7 @@ class Evidence:
     stated : (2, 2) linear part that the geography of both images states, if it states one; what is left is judged
     measured : what a refinement measured, also what its fit left out; None without one
     chance : log10 of the expected number of models for which as much of the images themselves speaks by chance
+    refining : whether a refinement was asked for, whose tie points fill what the images share
     """
 
     matches: Matches
@@ -140,6 +142,7 @@ class Evidence:
     stated: FloatArray | None = None
     measured: Matches | None = None
     chance: float = 0.0
+    refining: bool = True
 
     @cached_property
     def left(self) -> FloatArray:
@@ -164,10 +167,12 @@ class Evidence:
         """Share of the cells of an 8 x 8 grid over the reference that hold a final tie point."""
         return spread(self.here, self.reference_shape)
 
-    @property
-    def straight(self) -> float:
-        """1 for models with no more parameters than an affine one, `BENT` for those with more."""
-        return BENT if not isinstance(self.model, FailedFit) and self.model.minimum > Affine.minimum else 1.0
+    def most_moved(self, limits: Limits) -> float:
+        """How far one region may move the model, px: less where less of the image holds refined tie points."""
+        if isinstance(self.model, FailedFit) or not self.refining:
+            return limits.stability_px
+        bent = BENT if self.model.minimum > Affine.minimum else 1.0
+        return min(limits.stability_px, limits.stability_by_spread_px * self.spread * bent)
 
     @cached_property
     def checks(self) -> Matches:
@@ -253,7 +258,7 @@ CONDITIONS = (
         "stability",
         "error of the model over the image by leaving out regions of tie points, px",
         lambda e, model: instability(model, e.here, e.there, e.reference_shape, e.correlation_px),
-        lambda limits, e: (None, min(limits.stability_px, limits.stability_by_spread_px * e.spread * e.straight)),
+        lambda limits, e: (None, e.most_moved(limits)),
     ),
     Condition(
         "distortion",

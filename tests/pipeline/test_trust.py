@@ -198,6 +198,8 @@ def test_the_less_of_the_image_holds_tie_points_the_less_one_region_may_move_the
             min(limits.stability_px, limits.stability_by_spread_px * seen), abs=1e-12
         )
     assert (gates["stability"].high or 0) < 0.5 * limits.stability_px
+    # Only the matcher's tie points stand where no refinement was asked for.
+    assert judge(matches, narrow, refining=False)[2]["stability"].high == limits.stability_px
 
 
 @pytest.mark.parametrize("length", [20.0, 80.0])
