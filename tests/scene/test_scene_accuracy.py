@@ -173,8 +173,9 @@ def test_a_residual_field_says_how_sure_it_is(located_pair: Any) -> None:
     x, y = np.meshgrid(np.linspace(0, 450, 9), np.linspace(0, 450, 9))
     grid = np.column_stack([x.ravel(), y.ravel()])
     actual = np.sqrt((Affine(located_pair.truth).residuals(grid, got.model(grid)) ** 2).mean())
-    assert actual < 0.6
-    assert actual / 2 < uncertainty < 3 * actual
+    assert actual < 0.1
+    # On the safe side: fits to fifteen sixteenths of the points choose a smoothing of their own each.
+    assert actual / 2 < uncertainty < 0.3
     # Its derivatives are not known: nothing is said of what leaving out a region would do, rather than 0.
     assert "stability" not in got.gates
 
