@@ -106,7 +106,9 @@ def _cell_list(image: Image, side: float, bins: int, window: int) -> F32:
     def summed(votes: F32) -> F32:
         even = cv2.copyMakeBorder(votes, 0, votes.shape[0] % 2, 0, votes.shape[1] % 2, cv2.BORDER_CONSTANT, value=0)
         small = cv2.resize(even, (width, height), interpolation=cv2.INTER_AREA)
-        return np.asarray(cv2.boxFilter(small, -1, (blocks, blocks), normalize=True, borderType=cv2.BORDER_CONSTANT))
+        # Running sums leave a little less than nothing where nothing is.
+        total = cv2.boxFilter(small, -1, (blocks, blocks), normalize=True, borderType=cv2.BORDER_CONSTANT)
+        return np.asarray(np.maximum(total, 0), np.float32)
 
     known = summed(clear.astype(np.float32)) >= 0.5
     for k in range(bins):

@@ -68,6 +68,18 @@ def test_the_descriptor_turns_with_the_image_and_forgets_reversed_contrast() -> 
     assert np.allclose(plain, of(pixels.max() + 1 - pixels, xy, 0.0), atol=1e-2)
 
 
+def test_descriptors_beside_emptiness_are_numbers() -> None:
+    pixels = sar_pair((200, 200), looks=1, seed=5).reference * np.where(np.arange(200) < 100, 1e4, 1).astype(np.float32)
+    mask = np.ones(pixels.shape, np.bool_)
+    mask[90:, 120:] = False
+    image = as_image(pixels, mask=mask)
+    found = registry.create("detector", "normalised-fast", threshold=2).detect_features(image)
+    described = registry.create("descriptor", "normalised-hog").describe_features(image, found).descriptors
+    assert described is not None
+    assert len(described)
+    assert np.isfinite(described).all()
+
+
 def test_a_turned_pair_is_registered() -> None:
     pair = sar_pair((240, 240), looks=4, rotation_deg=40, shift=(7, -3), seed=1)
     reg = featreg.match(
