@@ -51,5 +51,8 @@ def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: 
 
 
 def on_post_page(output: str, *, page: Page, config: MkDocsConfig, **rest: Any) -> str:
-    """Let the keyboard reach what scrolls sideways: code and tables."""
-    return re.sub(r"<pre(?=[ >])(?![^>]*tabindex)", '<pre tabindex="0"', output)
+    """Let a keyboard reach what scrolls sideways, and a screen reader what the theme leaves without a name."""
+    output = re.sub(r"<pre(?=[ >])(?![^>]*tabindex)", '<pre tabindex="0"', output)
+    output = output.replace('<div class="scroll">', '<div class="scroll" tabindex="0">')
+    output = output.replace('role="dialog"', 'role="dialog" aria-label="Search"', 1)
+    return re.sub(r"<th([^>]*)></th>", r"<td\1></td>", output)
