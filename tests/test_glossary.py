@@ -16,7 +16,7 @@ ABBREVIATION = re.compile(r"\b[A-Z][A-Za-z0-9]*[A-Z][A-Za-z0-9]*(?:-[A-Z][A-Za-z
 #: Names of libraries, classes, files and licences, placeholders, units.
 NO_ABBREVIATION = {
     "OpenCV", "NumPy", "RITSAR", "FILE", "NAME", "NAME-paper", "VALUE", "PX", "MIT", "REF", "SEC", "Lucas-Kanade",
-    "LightGlueMatcher", "README", "BSD", "GB", "MB",
+    "LightGlueMatcher", "README", "BSD", "GB", "MB", "CPU",
 }  # fmt: skip
 
 
