@@ -97,7 +97,7 @@ def test_the_image_is_built_of_what_there_is(steps: list[tuple[str, str]]) -> No
     assert all((ROOT / source).exists() for source in sources)
     # Whatever the package is built of is there, and nothing that the context leaves out.
     needed = {folder.split("/")[0] for folder in PROJECT["tool"]["setuptools"]["package-dir"].values()}
-    needed |= {"pyproject.toml", "setup.py", PROJECT["project"]["readme"], *PROJECT["project"]["license-files"]}
+    needed |= {"pyproject.toml", "setup.py", "README.md", *PROJECT["project"]["license-files"]}
     assert set(sources) == needed
     ignored = (PACKAGING / "Dockerfile.dockerignore").read_text(encoding="utf-8").splitlines()
     assert {line[1:] for line in ignored if line.startswith("!")} == needed
