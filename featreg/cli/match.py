@@ -28,6 +28,7 @@ from featreg.cli.options import (
     whole_number,
 )
 from featreg.errors import InputError, ParameterError
+from featreg.io.source_names import parse_source
 from featreg.pipeline.keywords import KEYWORDS, bands_of
 from featreg.presets import DEFAULT_METHOD
 from featreg.runtime.threads import limited_threads
@@ -151,6 +152,8 @@ def match(
         from featreg.cli.match_pairs import is_list, match_pairs
 
         if not is_list(reference):
+            if parse_source(reference).path == Path(reference) and not Path(reference).exists():
+                raise InputError(f"{reference}: no such file or folder; give two images, a list of pairs or a folder")
             raise ParameterError("missing argument 'SEC'; see 'featreg match --help'")
         raise typer.Exit(match_pairs(reference, output, plot, request))
     inputs = [file for file in (reference, secondary, *request.files) if file is not None]

@@ -67,8 +67,9 @@ def match_pairs(source: str, output: str | None, plot: str | None, request: Matc
         pairs = read_pair_list(path)
         check_keywords(request.keywords())
         batch = _Batch(folder, folder / f"{path.resolve().stem}.summary.csv", pictures, request)
+        batch.keep_rows_of(pairs)
         targets = [batch.target(pair) for pair in pairs]
-        _check_targets(pairs, targets, batch.summary)
+        _check_targets(path, pairs, targets, batch)
         announce_compiling()
         with saying_when_interrupted(f"the finished pairs are kept in '{folder}': the same command goes on from there"):
             for i, (pair, target) in enumerate(zip(pairs, targets, strict=True), start=1):
@@ -93,10 +94,14 @@ def _folder(given: str | None, option: str) -> Path | None:
     return folder
 
 
-def _check_targets(pairs: Sequence[ListedPair], targets: Sequence[Path], summary: Path) -> None:
-    """Raise where a result would replace an image, the list's own summary or the result of another pair."""
-    inputs = {Path(file).resolve() for pair in pairs for file in (pair.reference, pair.secondary, pair.initial) if file}
-    seen: set[Path] = {summary.resolve()}
+def _check_targets(source: Path, pairs: Sequence[ListedPair], targets: Sequence[Path], batch: _Batch) -> None:
+    """Raise where a result or a picture would replace an input, the list, its summary or the result of another pair."""
+    files = {source, *(Path(file) for file in batch.request.files if file)}
+    for pair in pairs:
+        read = (pair.reference, pair.secondary, pair.mask_reference, pair.mask_secondary, pair.initial)
+        files |= {Path(file) for file in read if file}
+    inputs = {file.resolve() for file in files}
+    seen: set[Path] = {batch.summary.resolve()}
     for pair, target in zip(pairs, targets, strict=True):
         place = target.resolve()
         if place in inputs:
@@ -104,6 +109,9 @@ def _check_targets(pairs: Sequence[ListedPair], targets: Sequence[Path], summary
         if place in seen:
             raise InputError(f"the output '{target}' of pair {pair.name} is written already, give another name")
         seen.add(place)
+        picture = batch.picture(pair)
+        if picture is not None and picture.resolve() in inputs:
+            raise InputError(f"the picture '{picture}' of pair {pair.name} would replace an input, give another folder")
 
 
 @dataclass
@@ -131,9 +139,18 @@ class _Batch:
         self._before = _rows_of(self.summary)
         self._keys = PredictionCache(self.folder)
 
+    def keep_rows_of(self, pairs: Sequence[ListedPair]) -> None:
+        """Leave aside rows of earlier runs whose pair is no longer in the list."""
+        names = {pair.name for pair in pairs}
+        self._before = {name: row for name, row in self._before.items() if name in names}
+
     def target(self, pair: ListedPair) -> Path:
         """Where the result of a pair is written."""
         return self.folder / (pair.output or f"{pair.name}.json")
+
+    def picture(self, pair: ListedPair) -> Path | None:
+        """Where the picture of a pair is written, if there shall be any."""
+        return None if self.pictures is None else self.pictures / f"{pair.name}.png"
 
     def take(self, pair: ListedPair, target: Path) -> dict[str, Any]:
         """Match a pair, or take its row from an earlier run; the row is also in the summary then."""
@@ -144,7 +161,8 @@ class _Batch:
             keywords = self.request.keywords(pair.initial or None) | _masks(pair)
             key = self._keys.key(pair.name, (Path(pair.reference), Path(pair.secondary)), keywords) or ""
             kept = self._before.get(pair.name, {})
-            drawn = self.pictures is None or (self.pictures / f"{pair.name}.png").is_file()
+            picture = self.picture(pair)
+            drawn = picture is None or picture.is_file()
             if key and drawn and kept.get("key") == key and kept.get("result") == str(target) and target.is_file():
                 self.reused += 1
                 row = dict(kept)
@@ -170,10 +188,11 @@ class _Batch:
         result: Registration = self.request.match(pair.reference, pair.secondary, **more)
         target.parent.mkdir(parents=True, exist_ok=True)
         result.to_json(target)
-        if self.pictures is not None:
-            self.pictures.mkdir(exist_ok=True)
+        picture = self.picture(pair)
+        if picture is not None:
+            picture.parent.mkdir(exist_ok=True)
             masks = {f"{role}_mask": more[f"{role}_mask"] for role in ("reference", "secondary")}
-            self.request.draw(pair.reference, pair.secondary, result, str(self.pictures / f"{pair.name}.png"), masks)
+            self.request.draw(pair.reference, pair.secondary, result, str(picture), masks)
         return figures(result)
 
     def _write(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import io
 import logging
 import re
@@ -57,7 +58,13 @@ def read_pair_list(source: str | Path) -> list[ListedPair]:
     """
     path = Path(source)
     if path.is_dir():
-        return [ListedPair(pair["name"], pair["reference"], pair["secondary"]) for pair in pairs_in(path)]
+        # NAME.json beside images is the truth of the pair, which no result may replace or stand for.
+        return [
+            dataclasses.replace(pair, output=f"{pair.name}.result.json")
+            for pair in _named_apart(
+                [ListedPair(p["name"], p["reference"], p["secondary"]) for p in pairs_in(path)], path
+            )
+        ]
     try:
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
@@ -67,10 +74,17 @@ def read_pair_list(source: str | Path) -> list[ListedPair]:
     kept = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
     separator = ";" if kept and kept[0].count(";") > kept[0].count(",") else ","
     try:
-        rows = [[cell.strip() for cell in row] for row in csv.reader(io.StringIO("\n".join(kept)), delimiter=separator)]
+        reader = csv.reader(io.StringIO("\n".join(kept)), delimiter=separator, skipinitialspace=True)
+        rows = [[cell.strip() for cell in row] for row in reader]
     except csv.Error as error:
         raise InputError(f"'{path}' is no list of pairs: {error}") from error
     titles, rows = _titles(rows, path)
+    for i, row in enumerate(rows, start=1):
+        if any(row[len(titles) :]):
+            # A comma in a name without quotes: what stands where is not known then.
+            raise InputError(
+                f"'{path}': pair {i} has {len(row)} cells for {len(titles)} columns; quote names with '{separator}'"
+            )
     found = [_pair(dict(zip(titles, row, strict=False)), path, i) for i, row in enumerate(rows, start=1)]
     if not found:
         raise InputError(f"'{path}' lists no pair: a line is REFERENCE,SECONDARY[,OUTPUT]")

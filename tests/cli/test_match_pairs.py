@@ -10,8 +10,10 @@ from typing import Any
 
 import pytest
 
+from featreg.cli.match_pairs import COLUMNS
 from featreg.errors import InputError
 from featreg.results.registration import Registration
+from featreg.study.image_pairs import pairs_in
 from featreg.study.pair_list import read_pair_list
 
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
@@ -55,7 +57,7 @@ def test_what_is_finished_and_unchanged_is_not_matched_again(
     code, out, _ = run(*command)
     assert (code, out.splitlines()[0].startswith("[1/2] a: ok, rotation +")) == (4, True)
     assert "[2/2] b: failed: " in out
-    made = (tmp_path / "a.json").read_bytes()
+    made = (tmp_path / "a.result.json").read_bytes()
 
     import featreg.matching
 
@@ -71,12 +73,12 @@ def test_what_is_finished_and_unchanged_is_not_matched_again(
     code, out, _ = run(*command)
     assert (code, matched) == (0, ["b_ref.tif"])
     assert "2 ok, 0 unreliable, 0 failed (1 from before)" in out
-    assert (tmp_path / "a.json").read_bytes() == made
+    assert (tmp_path / "a.result.json").read_bytes() == made
     # Another option, another image, or a result that is gone.
     for change, again in (
         (lambda: command.append("--seed=1"), ["a_ref.tif", "b_ref.tif"]),
         (lambda: shutil.copy(folder / "ref.tif", tmp_path / "a_sec.tif"), ["a_ref.tif"]),
-        (lambda: (tmp_path / "b.json").unlink(), ["b_ref.tif"]),
+        (lambda: (tmp_path / "b.result.json").unlink(), ["b_ref.tif"]),
     ):
         matched.clear()
         change()
@@ -118,14 +120,56 @@ def test_pictures_of_a_list(run: Run, folder: Path, tmp_path: Path) -> None:
         ("a.tif,b.tif\n", ["-o", "ref.tif"], ["'ref.tif' is a file", "a folder is needed"]),
         ("a.tif,b.tif\n", ["--set", "fsc.treshold=2"], ["'fsc.treshold'", "'fsc.threshold'"]),
         ("a.tif,b.tif,pairs.summary.csv\n", [], ["is written already"]),
+        ("a.tif,b.tif,pairs.csv\n", [], ["pairs.csv' of pair a_b would replace an input"]),
+        (
+            "reference,secondary,mask_reference,output\na.tif,b.tif,m.png,m.png\n",
+            [],
+            ["m.png' of pair a_b would replace"],
+        ),
+        (
+            "reference,secondary,name\na.png,b.tif,a\n",
+            ["--plot", "HERE"],
+            ["picture", "a.png' of pair a would replace"],
+        ),
+        ("reference,secondary\nport, old/a.tif,b.tif\n", [], ["pair 1 has 3 cells for 2 columns"]),
     ],
 )
 def test_a_list_that_cannot_be_used_is_one_line(
     run: Run, refused: Refused, tmp_path: Path, text: str, options: list[str], words: list[str]
 ) -> None:
     (tmp_path / "pairs.csv").write_text(text)
+    options = [str(tmp_path) if option == "HERE" else option for option in options]
     refused(run("match", str(tmp_path / "pairs.csv"), *options), *words)
     assert [path.name for path in tmp_path.iterdir()] == ["pairs.csv"]
+
+
+def test_results_beside_images_are_no_truths(tmp_path: Path) -> None:
+    for name in ("a_1.tif", "a_2.tif", "a-1.tif", "a-2.tif", "b_1.tif", "b_2.tif", "b.json"):
+        (tmp_path / name).touch()
+    pairs = read_pair_list(tmp_path)
+    assert [pair.name for pair in pairs] == ["1-a", "2-a", "b"]
+    for pair in pairs:
+        (tmp_path / pair.output).touch()
+    assert [Path(pair["truth"]).name for pair in pairs_in(tmp_path) if "truth" in pair] == ["b.json"]
+
+
+def test_rows_of_pairs_that_left_the_list_leave_the_summary(run: Run, tmp_path: Path) -> None:
+    summary = tmp_path / "pairs.summary.csv"
+    (tmp_path / "pairs.csv").write_text("a.tif,b.tif\n")
+    row = dict.fromkeys(COLUMNS, "") | {"name": "gone", "status": "ok", "key": "0"}
+    summary.write_text(",".join(COLUMNS) + "\n" + ",".join(row.values()) + "\n")
+    assert run("match", str(tmp_path / "pairs.csv"))[0] == 4
+    assert [row["name"] for row in rows_of(summary)] == ["a_b"]
+
+
+def test_a_missing_folder_is_no_missing_second_image(run: Run, refused: Refused, tmp_path: Path) -> None:
+    refused(run("match", str(tmp_path / "nowhere")), "nowhere: no such file or folder")
+
+
+def test_names_with_commas_stand_in_quotes_also_after_a_space(tmp_path: Path) -> None:
+    (tmp_path / "l.csv").write_bytes('\ufeffReference, SECONDARY ,\r\na.tif, "b, ü.tif",\r\n\r\n# c\r\n'.encode())
+    (pair,) = read_pair_list(tmp_path / "l.csv")
+    assert (pair.reference, pair.secondary) == (f"{tmp_path}/a.tif", f"{tmp_path}/b, ü.tif")
 
 
 def test_paths_count_from_the_list_and_names_differ(tmp_path: Path) -> None:
