@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -180,7 +181,7 @@ def _stack(folder: Path, shape: tuple[int, int] | None, keywords: dict[str, Any]
     write_truth(folder, {"matrices": {name: t.tolist() for name, t in zip(names, truths, strict=True)}})
     return [
         f"written: {folder}, {names[0]} to {names[-1]}, truth.json (first image -> image)",
-        f"try next: featreg stack {folder}/date_*.tif -o {folder}/stack",
+        f"try next: featreg stack {_typed(folder)}/date_*.tif -o {_typed(folder / 'stack')}",
     ]
 
 
@@ -199,11 +200,17 @@ def _scene(folder: Path, shape: tuple[int, int] | None, keywords: dict[str, Any]
     progress("simulating orbits, terrain and RPCs")
     simulate_scene(folder, shape or (2000, 2000), progress=show, **keywords)
     lines = _said(folder, "reference.tif, secondary.tif, dem.tif, truth.json", "reference.tif", "secondary.tif")
-    return [*lines[:-1], f"{lines[-1]} --dem {folder}/dem.tif --model rpc-bias"]
+    return [*lines[:-1], f"{lines[-1]} --dem {_typed(folder / 'dem.tif')} --model rpc-bias"]
 
 
 def _said(folder: Path, files: str, reference: str, secondary: str) -> list[str]:
-    return [f"written: {folder}, {files}", f"try next: featreg match {folder}/{reference} {folder}/{secondary}"]
+    images = " ".join(_typed(folder / name) for name in (reference, secondary))
+    return [f"written: {folder}, {files}", f"try next: featreg match {images}"]
+
+
+def _typed(path: Path) -> str:
+    """A path as it is typed into a shell."""
+    return shlex.quote(str(path))
 
 
 def write_images(folder: Path, images: dict[str, Any]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +43,13 @@ def test_a_stack(tmp_path: Path, capsys: Capture) -> None:
     assert list(matrices) == ["date_000.tif", "date_001.tif", "date_002.tif"]
     np.testing.assert_allclose(matrices["date_002.tif"], series.truths[2])
     np.testing.assert_array_equal(as_image(tmp_path / "date_001.tif").pixels, series.images[1])
+
+
+def test_what_to_type_next_is_quoted(tmp_path: Path, capsys: Capture) -> None:
+    folder = tmp_path / "my port"
+    _, out, _ = run(capsys, "pair", "-o", str(folder), "--size", "64")
+    words = shlex.split(out.splitlines()[-1].removeprefix("try next: "))
+    assert words == ["featreg", "match", f"{folder}/reference.tif", f"{folder}/secondary.tif"]
 
 
 def test_a_scene(tmp_path: Path, capsys: Capture) -> None:
