@@ -106,7 +106,8 @@ def adjust(
     equations = [_equations(trusted[n], start, corrections, bases) for n in used]
     misfits = {n: _rms(residual) for n, (_, _, residual, _) in zip(used, equations, strict=True)}
     made = [
-        replace(pair, weight=float(weights[n]) if n in misfits else 0.0, misfit=misfits.get(n, float("nan")))
+        # What no trusted pair joins to the reference was contradicted by nothing: its weight stays 1.
+        replace(pair, weight=float(weights[n]), misfit=misfits.get(n, float("nan")))
         for n, pair in enumerate(trusted)
     ]
     reached = _reached([pair for pair in made if pair.weight >= THROWN_OUT], reference)

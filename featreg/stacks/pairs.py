@@ -36,7 +36,8 @@ class StackPair:
     nodes : (N, 2) float64 px, points of the first image
     covariance : (N, 2, 2) float64 px^2 of where the model maps them
     weight : 0 to 1, what the adjustment left of the pair's weight; 1 before it
-    misfit : px, RMS over the nodes of its distance from the adjusted models; NaN before the adjustment
+    misfit : px, RMS over the nodes of its distance from the adjusted models; NaN before the adjustment, and where no
+        trusted pair joins its images to the reference
     """
 
     first: int

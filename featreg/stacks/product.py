@@ -39,11 +39,18 @@ def warped(stack: Stack, folder: str | Path | None, resampling: str) -> list[Any
         elif target is None:
             out.append(_whole(stack, i, source, resampling))
         else:
-            target.mkdir(parents=True, exist_ok=True)
+            _made(target)
             path = target / f"{i:03d}_{Path(stack.names[i]).stem.replace(' ', '_')}.tif"
             _write_tiff(path, stack, i, source, place, resampling)
             out.append(path)
     return out
+
+
+def _made(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"'{folder}': cannot be made ({error.strerror or error}); give a folder") from error
 
 
 def cube(stack: Stack, resampling: str) -> Any:

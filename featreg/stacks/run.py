@@ -23,9 +23,10 @@ from featreg.matching import MOST_PIXELS, match
 from featreg.registry import KINDS, model_class
 from featreg.runtime.cluster import dask_client
 from featreg.runtime.digests import digest_value
-from featreg.runtime.executors import open_executor
+from featreg.runtime.executors import check_executor, open_executor
+from featreg.runtime.threads import worker_count
 from featreg.runtime.versions import versions
-from featreg.runtime.watching import Progress
+from featreg.runtime.watching import Progress, check_watch
 from featreg.scene.state import ArrayFiles, digest_of
 from featreg.stacks.closure import closure_of, loops
 from featreg.stacks.dense import measured_again
@@ -75,8 +76,6 @@ def added(stack: Stack, image: Any, **how: Any) -> Stack:
     unknown = set(how) - {"executor", "workers", "scheduler", "resume", "cancel", "progress"}
     if unknown:
         raise ParameterError(f"add knows how the work is run, not {', '.join(sorted(unknown))}")
-    if len(stack.images) != len(stack.models):
-        raise InputError("the images of this stack are not at hand; register it anew")
     options, pairs = dict(stack.provenance["options"]), stack.provenance["pairs"]
     lost = sorted(name for name, value in options.items() if isinstance(value, Unkept))
     if lost:
@@ -84,7 +83,12 @@ def added(stack: Stack, image: Any, **how: Any) -> Stack:
             f"the file of this stack keeps no more than the name of {', '.join(lost)}, an object of the program that "
             "made it; add to the stack in that program, or register it anew"
         )
+    if len(stack.images) != len(stack.models):
+        raise InputError("the images of this stack are not at hand; register it anew")
     progress = how.pop("progress", None)
+    worker_count(how.get("workers"))
+    check_executor(how.get("executor"))
+    check_watch(progress, how.get("cancel"))
     work = _Work([*stack.images, image], options, progress, how)
     work.found = {(pair.first, pair.second): pair for pair in stack.pairs}
     wanted = planned(len(work.images), stack.reference, pairs, work.shared)
@@ -281,6 +285,8 @@ def _why(pairs: Sequence[StackPair], image: int) -> str:
     own = [pair for pair in pairs if image in (pair.first, pair.second)]
     if not own:
         return "it shares no ground with the others, as their files say where they lie"
+    if any(pair.used for pair in own):
+        return "its trusted pairs lead to images only that are left out as well, none of them to the reference"
     thrown = [pair for pair in own if pair.model is not None]
     if thrown:
         worst = max((p.misfit for p in thrown if np.isfinite(p.misfit)), default=float("nan"))

@@ -128,6 +128,11 @@ class Stack(Shown):
         -------
         Of each image an (H, W) float32 or complex64 array, NaN where it has no data, or the path of its file; None
         where it was left out
+
+        Raises
+        ------
+        InputError, ParameterError
+            The images are not at hand, the folder cannot be made or a file written; an unknown resampling.
         """
         from featreg.stacks.product import warped
 

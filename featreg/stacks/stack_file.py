@@ -58,8 +58,9 @@ def read_stack(path: Path, kind: type[Stack]) -> Stack:
         values: dict[str, Any] = json.loads(path.read_bytes())
         if values["kind"] != "stack" or values["schema_version"] != SCHEMA_VERSION:
             raise ValueError(f"its kind and version are {values['kind']!r} and {values['schema_version']!r}")
+        names = [str(name) for name in values["names"]]
         made = kind(
-            [str(name) for name in values["names"]],
+            names,
             int(values["reference"]),
             (int(values["shape"][0]), int(values["shape"][1])),
             [None if model is None else model_from_dict(model) for model in values["models"]],
@@ -71,13 +72,14 @@ def read_stack(path: Path, kind: type[Stack]) -> Stack:
             [Jump(int(i), float(dx), float(dy)) for i, dx, dy in values["jumps"]],
             [StackPair.from_dict(pair) for pair in values["pairs"]],
             {**values["provenance"], "options": _options(values["provenance"]["options"])},
-            [str(name) for name in values["names"]],
+            # Images that were arrays are in no file.
+            [] if any(name == f"image {i}" and not Path(name).exists() for i, name in enumerate(names)) else names,
         )
         _check(made)
         return made
     except OSError as error:
         raise InputError(f"cannot read '{path}': {error.strerror or error}") from error
-    except (ValueError, KeyError, TypeError, IndexError, AttributeError, FeatregError) as error:
+    except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError, FeatregError) as error:
         raise InputError(
             f"'{path}' is no stack of featreg ({error}); give the stack.json of `featreg stack`"
         ) from error

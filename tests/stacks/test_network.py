@@ -17,6 +17,7 @@ from featreg.stacks.ground import SharedGround
 from featreg.stacks.jumps import jumps
 from featreg.stacks.network import adjust
 from featreg.stacks.pairs import StackPair, planned
+from featreg.stacks.run import _why as left_out_because
 from featreg.types import FloatArray, Geolocation
 
 SHAPE = (300, 400)
@@ -98,6 +99,19 @@ def test_a_pair_wrong_by_three_pixels_is_named_and_does_no_harm() -> None:
         for found, truth in zip(made.models, models, strict=True):
             assert found is not None
             assert error(found, truth) < 0.25
+
+
+def test_pairs_that_nothing_joins_to_the_reference_are_not_called_wrong() -> None:
+    models = truths(5, 3)
+    made = adjust([pair(models, i, k) for i, k in [(0, 1), (1, 2), (0, 2), (3, 4)]], 5, 0, SHAPE, Affine)
+    assert [model is None for model in made.models] == [False, False, False, True, True]
+    apart = made.pairs[3]
+    assert apart.used
+    assert apart.weight == 1.0
+    assert np.isnan(apart.misfit)
+    assert "left out as well" in left_out_because(made.pairs, 3)
+    assert "can be trusted" in left_out_because([replace(apart, status="unreliable", model=None)], 3)
+    assert "agrees with the others (by 3.0 px)" in left_out_because([replace(apart, weight=0.0, misfit=3.0)], 3)
 
 
 def test_pairs_that_share_no_ground_are_passed_over() -> None:

@@ -133,9 +133,13 @@ def test_a_file_gives_the_stack_back(stack: Stack, tmp_path: Path) -> None:
     again = Stack.from_json(tmp_path / "stack.json")
     assert same(again, stack)
     assert again.to_dataframe().equals(stack.to_dataframe())
-    (tmp_path / "bad.json").write_text('{"kind": "stack"}')
-    with pytest.raises(InputError, match="no stack of featreg"):
-        Stack.from_json(tmp_path / "bad.json")
+    # The file of a stack of arrays holds none of them.
+    with pytest.raises(InputError, match="not at hand"):
+        again.warp()
+    for text in ('{"kind": "stack"}', "[" * 100_000):
+        (tmp_path / "bad.json").write_text(text)
+        with pytest.raises(InputError, match="no stack of featreg"):
+            Stack.from_json(tmp_path / "bad.json")
     whole = json.loads((tmp_path / "stack.json").read_text())
     damages: list[dict[str, Any]] = [
         {"reference": 9}, {"status": ["ok"]}, {"provenance": {}}, {"jumps": [[7, 1.0, 0.0]]},
@@ -151,6 +155,18 @@ def test_a_cube(stack: Stack) -> None:
     cube = stack.to_xarray()
     assert cube["amplitude"].shape == (4, 260, 260)
     assert cube["date"].values.tolist() == ["image 0", "image 1", "image 2", "image 4"]
+
+
+def test_what_runs_a_new_date_and_where_it_goes_is_checked(
+    series: SimulatedSeries, stack: Stack, tmp_path: Path
+) -> None:
+    with pytest.raises(ParameterError, match="is_set"):
+        stack.add(series.images[0], cancel=3)
+    with pytest.raises(ParameterError, match="workers"):
+        stack.add(series.images[0], workers=-1)
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="file': cannot be made"):
+        stack.warp(tmp_path / "file")
 
 
 def test_errors_say_what_would_be_right(series: SimulatedSeries) -> None:
