@@ -99,11 +99,10 @@ def offsets(
     check_output(plot, "--plot", suffixes=[".png"], inputs=inputs)
     blocks.check(workers)
     days = None if dates is None else [part.strip() for part in dates.split(",")]
-    if days is not None or Path(output).suffix.lower() in (".h5", ".he5", ".hdf5"):
-        from featreg.displacement.mintpy import dates_of
+    from featreg.displacement.raster import days_of
 
-        # Before the work, not after it.
-        dates_of(reference, secondary, days)
+    # Before the work, not after it.
+    days_of(Path(output), reference, secondary, days)
     with kept_when_interrupted(blocks.resume), limited_threads(workers, 1):
         announce_compiling()
         from featreg.displacement.run import offsets as measure

@@ -100,7 +100,7 @@ class Offsets(ReadOnlyArrays, Shown):
         Raises
         ------
         InputError, ParameterError
-            The file cannot be written; the dates of a file for MintPy are not known.
+            The file cannot be written; the dates of a file for MintPy are not known, or dates are given for a GeoTIFF.
         """
         from featreg.displacement.raster import write_offsets
 

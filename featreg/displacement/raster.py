@@ -12,6 +12,7 @@ import numpy as np
 from featreg._version import __version__
 from featreg.displacement.cells import MEANINGS, CellGrid
 from featreg.displacement.ground import is_on_map
+from featreg.errors import ParameterError
 from featreg.io.gdal_errors import quiet
 from featreg.io.writers import geolocation_profile, replacing
 from featreg.types import FloatArray, Geolocation
@@ -52,12 +53,31 @@ def bands_of(field: Offsets) -> dict[str, tuple[FloatArray, str]]:
     return bands
 
 
+def days_of(
+    path: Path, reference: str | None, secondary: str | None, dates: Sequence[str] | None = None
+) -> tuple[str, str] | None:
+    """Return the days under which a file keeps the field of two images; None for a GeoTIFF, which keeps none.
+
+    Raises
+    ------
+    ParameterError
+        The dates are no days, not known, or given for a GeoTIFF.
+    """
+    if path.suffix.lower() in HDF5:
+        from featreg.displacement.mintpy import dates_of
+
+        return dates_of(reference, secondary, dates)
+    if dates is not None:
+        raise ParameterError(f"dates are kept in files for MintPy (.h5) only, '{path}' would lose them; leave them out")
+    return None
+
+
 def write_offsets(field: Offsets, path: Path, dates: Sequence[str] | None = None) -> None:
     """Write a field as the file that its name asks for; see `Offsets.to_file`."""
-    if path.suffix.lower() in HDF5:
-        from featreg.displacement.mintpy import dates_of, write_mintpy
+    days = days_of(path, field.reference.path, field.secondary.path, dates)
+    if days is not None:
+        from featreg.displacement.mintpy import write_mintpy
 
-        days = dates_of(field.reference.path, field.secondary.path, dates)
         write_mintpy([field], path, cell_geolocation(field.reference.geolocation, field.grid), [days])
         return
     import rasterio

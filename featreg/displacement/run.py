@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from featreg.displacement.cells import CellGrid, Reason
 from featreg.displacement.field import Offsets
-from featreg.displacement.measure import Measured, levels_of, measure
+from featreg.displacement.measure import LEAST_WINDOW, Measured, levels_of, measure
 from featreg.errors import InputError, ParameterError
 from featreg.geometry import as_model, model_to_dict
 from featreg.interfaces import FailedFit, Model
@@ -194,7 +194,7 @@ def measure_block(job: _Job, cells: CellBlock) -> dict[str, NDArray[Any]]:
     """Measure the cells of a block, reading as much around it as they need."""
     step = job.step
     whole = CellGrid(job.reference.shape, step, job.window)
-    coarsest = job.window if not levels_of(job.search) else max(job.window, 32 << levels_of(job.search))
+    coarsest = max(job.window, LEAST_WINDOW << levels_of(job.search))
     halo = -(-int(coarsest / 2 + job.search + 1) // step) + NEIGHBOURS
     top, left = max(cells.top - halo, 0), max(cells.left - halo, 0)
     bottom, right = (

@@ -42,6 +42,8 @@ def test_offsets_for_mintpy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert "YYYYMMDD,YYYYMMDD" in capsys.readouterr().err
     assert main(["offsets", *names, "-o", made, "--dates", "20210401,20211301", "--workers", "1"]) == 2
     assert "two days" in capsys.readouterr().err
+    assert main(["offsets", *names, "-o", f"{made}.tif", "--dates", "20210401,20210413", "--workers", "1"]) == 2
+    assert "leave them out" in capsys.readouterr().err
     assert main(["offsets", *names, "-o", made, "--dates", "20210401,20210413", "--workers", "1"]) == 0
     field = featreg.offsets(*names)
     # What mintpy.objects.stack.ifgramStack asks of a file.

@@ -231,6 +231,12 @@ def test_the_raster_says_what_its_bands_are_and_where_it_lies(glacier: Displaced
     assert np.allclose(north, -10 * dy, atol=1e-4, equal_nan=True)
 
 
+def test_dates_are_refused_where_they_would_be_lost(flow: Offsets, tmp_path: Path) -> None:
+    with pytest.raises(ParameterError, match="MintPy"):
+        flow.to_file(tmp_path / "flow.tif", dates=["20210401", "20210413"])
+    assert not list(tmp_path.iterdir())
+
+
 def test_errors_say_what_would_be_right(glacier: DisplacedPair) -> None:
     with pytest.raises(ParameterError, match="window"):
         featreg.offsets(glacier.reference, glacier.secondary, window=4)
