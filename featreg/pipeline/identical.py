@@ -15,8 +15,8 @@ Masked = Callable[[], BoolArray]
 
 #: Fewest identical pixels that can make a tie point, and the share of an image beyond which they are the scene.
 LEAST, MOST = 20, 0.7
-#: So many times more often than by chance a value stands at the same place in both images.
-EXCESS = 4.0
+#: So many times more often than by chance a value stands at the same place in both images; most values that are asked.
+EXCESS, MOST_VALUES = 4.0, 256
 #: Share of a 9 x 9 square that is identical where an area is, whatever its values.
 DENSE = 0.6
 #: Share of the black or saturated pixels of either image that are so in both, where they were drawn.
@@ -109,10 +109,13 @@ def _beyond_chance(same: BoolArray, a: F32, b: F32) -> BoolArray:
             same = same & ~extreme
     dense = cv2.boxFilter(same.astype(np.float32), -1, (9, 9), borderType=cv2.BORDER_REPLICATE) >= DENSE
     values, counts = np.unique(a[same], return_counts=True)
-    often = values[counts >= LEAST]
+    # What was drawn is among the values that meet most often.
+    ranked = np.argsort(-counts, kind="stable")[:MOST_VALUES]
+    ranked = ranked[counts[ranked] >= LEAST]
+    often = values[ranked]
     if len(often):
-        chance = np.array([np.count_nonzero(a == v) * (np.count_nonzero(b == v) / b.size) for v in often[:256]])
-        often = often[:256][counts[counts >= LEAST][:256] > EXCESS * chance]
+        chance = np.array([np.count_nonzero(a == v) * (np.count_nonzero(b == v) / b.size) for v in often])
+        often = often[counts[ranked] > EXCESS * chance]
     return np.asarray(same & (dense | np.isin(a, often)))
 
 

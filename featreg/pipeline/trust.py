@@ -107,7 +107,7 @@ class Limits:
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
             lowest = name in ("least_inliers", "least_spread", "block_share", "scene")
-            if math.isnan(value) or value == (math.inf if lowest else -math.inf) or (name == "scale" and value <= 0):
+            if math.isnan(value) or value == (math.inf if lowest else -math.inf) or (name == "scale" and value < 1):
                 raise ParameterError(f"trust.{name} must be a limit that can be met, got {value}")
 
 

@@ -14,6 +14,7 @@ import featreg
 from featreg.geometry import Affine, Homography, Translation
 from featreg.interfaces import Model
 from featreg.io import as_image
+from featreg.pipeline import identical
 from featreg.pipeline.agreement import Agreement
 from featreg.pipeline.competing import agreement_gates, rival_gate
 from featreg.pipeline.identical import identical_pixels, without_identical
@@ -24,6 +25,20 @@ from featreg.types import Matches
 F32 = NDArray[np.float32]
 SIDE = 400
 TURNED_HOMOGRAPHY = Homography(np.array([[0.98, 0.1, 3.3], [-0.1, 1.02, 6.6], [1e-5, 2e-5, 1.0]]))
+
+
+def test_a_label_is_found_among_more_values_than_are_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(3)
+    # Nearly all of the 300 values meet somewhere by chance, the label of a few dots is the last of them but one.
+    monkeypatch.setattr(identical, "LEAST", 2)
+    a, b = rng.integers(1, 301, (2, 600, 600)).astype(np.float32)
+    dots = rng.random(a.shape) < 0.002
+    a[dots] = b[dots] = 299
+    _, counts = np.unique(a[a == b], return_counts=True)
+    assert np.count_nonzero(counts >= identical.LEAST) > identical.MOST_VALUES
+    found = identical._beyond_chance(a == b, a, b)
+    assert found[dots].all()
+    assert np.count_nonzero(found & ~dots) < 20
 
 
 def scene(seed: int, side: int = SIDE) -> F32:

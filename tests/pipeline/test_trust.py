@@ -152,7 +152,7 @@ def test_the_gates_stand_in_their_order_and_those_without_a_limit_are_left_out()
 
 
 @pytest.mark.parametrize(
-    "limits", [{"held_out_px": math.nan}, {"least_spread": math.inf}, {"significance": -math.inf}, {"scale": 0.0}]
+    "limits", [{"held_out_px": math.nan}, {"least_spread": math.inf}, {"significance": -math.inf}, {"scale": 0.5}]
 )
 def test_a_limit_that_nothing_can_meet_is_refused(limits: dict[str, Any]) -> None:
     with pytest.raises(ParameterError, match=next(iter(limits))):
