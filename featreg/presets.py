@@ -177,7 +177,7 @@ _LNIFT_TRUST = {"least_inliers": 60, "significance": -140.0}
 # Windows overlap by half. Between an optical and a SAR image they differ by 2 to 3 px where the model is right: of 38
 # such pairs and 101 crops of them, all within 5 px had a stability of at most 1.9 px. Their intensities peak elsewhere
 # than the images agree, so that windows of them drift by up to 15 px from right models. What keeps other places out is
-# the matcher's own verification: of 535 pairs of other places none comes near its limit.
+# the matcher's own verification: of 544 pairs of other places none reaches its limit.
 _DENSE_TRUST = {
     "least_inliers": 20,
     "uncertainty_px": 3.5,
