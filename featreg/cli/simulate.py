@@ -143,7 +143,7 @@ def simulate(
         "rotation": rotation, "zoom": zoom, "shift": shift, "change": change, "relief": relief, "count": count,
         "drift": drift,
     }  # fmt: skip
-    keywords: dict[str, Any] = {"looks": looks if looks == float("inf") else _whole(looks), "seed": seed}
+    keywords: dict[str, Any] = {"looks": _whole(looks), "seed": seed}
     for option, value in given.items():
         kinds, keyword = MEANT_FOR[option]
         if value is not None and kind not in kinds:
@@ -159,7 +159,7 @@ def simulate(
 
 
 def _whole(value: float) -> float | int:
-    return int(value) if value == int(value) else value
+    return int(value) if value.is_integer() else value
 
 
 def _pair(folder: Path, shape: tuple[int, int] | None, keywords: dict[str, Any]) -> Sequence[str]:

@@ -100,9 +100,11 @@ def pairs_in(folder: str | Path) -> list[dict[str, str]]:
             cut = re.fullmatch(rf"(.*[^a-zA-Z0-9])?({first})", path.stem, re.IGNORECASE)
             if cut is None or cut[1] is None:
                 continue
-            partner = next((p for p in images if p.stem.lower() == f"{cut[1]}{second}".lower()), None)
-            if partner is None:
+            partners = [p for p in images if p.stem.lower() == f"{cut[1]}{second}".lower()]
+            if not partners:
                 continue
+            # A quick look beside the image has its name: an image goes with one of its own kind where there is one.
+            partner = min(partners, key=lambda p: p.suffix.lower() != path.suffix.lower())
             name = re.sub(r"[^a-zA-Z0-9]+$", "", cut[1])
             truth = next((p for p in files if p.stem in (f"{name}_truth", f"{name}-truth", name)
                           and p.suffix.lower() in TRUTH_SUFFIXES and p not in (path, partner)), None)  # fmt: skip

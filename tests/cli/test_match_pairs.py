@@ -153,6 +153,13 @@ def test_results_beside_images_are_no_truths(tmp_path: Path) -> None:
     assert [Path(pair["truth"]).name for pair in pairs_in(tmp_path) if "truth" in pair] == ["b.json"]
 
 
+def test_an_image_goes_with_one_of_its_own_kind(tmp_path: Path) -> None:
+    for name in ("a_1.tif", "a_1.png", "a_2.TIF", "a_2.png", "b_1.png", "b_2.tif"):
+        (tmp_path / name).touch()
+    found = [(Path(pair["reference"]).name, Path(pair["secondary"]).name) for pair in pairs_in(tmp_path)]
+    assert found == [("a_1.png", "a_2.png"), ("a_1.tif", "a_2.TIF"), ("b_1.png", "b_2.tif")]
+
+
 def test_rows_of_pairs_that_left_the_list_leave_the_summary(run: Run, tmp_path: Path) -> None:
     summary = tmp_path / "pairs.summary.csv"
     (tmp_path / "pairs.csv").write_text("a.tif,b.tif\n")

@@ -69,6 +69,8 @@ def test_a_scene(tmp_path: Path, capsys: Capture) -> None:
         (["pair", "-o", "x", "--shift", "3"], ["X,Y", "'3'"]),
         (["pair", "-o", "x", "--size", "20"], ["64 x 64"]),
         (["pair", "-o", "x", "--looks", "0.5"], ["looks", "0.5"]),
+        (["pair", "-o", "x", "--looks", "nan"], ["looks", "nan"]),
+        (["pair", "-o", "x", "--looks", "-inf"], ["looks", "-inf"]),
         (["stack", "-o", "x", "--count", "1"], ["whole number >= 2"]),
     ],
 )
