@@ -156,6 +156,7 @@ def match(
                 raise InputError(f"{reference}: no such file or folder; give two images, a list of pairs or a folder")
             raise ParameterError("missing argument 'SEC'; see 'featreg match --help'")
         raise typer.Exit(match_pairs(reference, output, plot, request))
+    request.check_radius([])
     inputs = [file for file in (reference, secondary, *request.files) if file is not None]
     check_output(output, "--json", inputs=inputs, stdout=True)
     check_output(plot, "--plot", suffixes=[".png"], inputs=inputs)
@@ -209,10 +210,13 @@ class MatchRequest:
         """Parts and parameters of the method."""
         return parse_settings(self.common.settings, (keyword.name for keyword in KEYWORDS if keyword.option))
 
+    def check_radius(self, initials: Sequence[str]) -> None:
+        """Raise where there is a radius and nothing around which to search; `initials` are those of the pairs."""
+        if self.search_radius is not None and not (self.initial or self.prior or (initials and all(initials))):
+            raise ParameterError("--search-radius needs --initial RESULT.json, the result around which to search")
+
     def check(self) -> None:
         """Raise where options contradict each other."""
-        if self.initial is None and self.prior is None and self.search_radius is not None:
-            raise ParameterError("--search-radius needs --initial RESULT.json, the result around which to search")
         self.blocks.check(self.workers)
         # Before any work: a misspelt setting.
         _ = self.settings
@@ -220,7 +224,8 @@ class MatchRequest:
     def keywords(self, initial: str | None = None) -> dict[str, Any]:
         """As keywords of `featreg.match`, how it is run apart; `initial` comes before that of all pairs."""
         known = self.initial if initial is None else initial
-        radius = self.search_radius
+        # Of a list each pair may have a result around which to search.
+        radius = None if known is None and self.prior is None else self.search_radius
         return {
             # What --set names is a part or a parameter of one method.
             "method": self.method or (DEFAULT_METHOD if self.settings else "auto"),

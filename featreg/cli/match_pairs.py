@@ -65,6 +65,7 @@ def match_pairs(source: str, output: str | None, plot: str | None, request: Matc
         from featreg.study.pair_list import read_pair_list
 
         pairs = read_pair_list(path)
+        request.check_radius([pair.initial for pair in pairs])
         check_keywords(request.keywords())
         batch = _Batch(folder, folder / f"{path.resolve().stem}.summary.csv", pictures, request)
         batch.keep_rows_of(pairs)

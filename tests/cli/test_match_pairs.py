@@ -86,6 +86,26 @@ def test_what_is_finished_and_unchanged_is_not_matched_again(
         assert matched == again
 
 
+def test_a_radius_around_the_initial_of_each_pair(
+    run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    import featreg.matching
+
+    assert run("match", f"{folder}/ref.tif", f"{folder}/sec.tif", "-o", str(tmp_path / "x.json"))[0] == 0
+    (tmp_path / "p.csv").write_text(f"reference,secondary,initial\n{folder}/ref.tif,{folder}/sec.tif,x.json\n")
+    radii: list[Any] = []
+    real = featreg.matching.match
+
+    def told(*images: Any, **options: Any) -> Any:
+        radii.append(options["search_radius"])
+        return real(*images, **options)
+
+    monkeypatch.setattr(featreg.matching, "match", told)
+    for options in ([], ["--search-radius", "9"]):
+        assert run("match", str(tmp_path / "p.csv"), *options)[0] == 0
+    assert radii == [20.0, 9.0]
+
+
 def test_a_fault_in_one_pair_is_its_row(
     run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -120,6 +140,7 @@ def test_pictures_of_a_list(run: Run, folder: Path, tmp_path: Path) -> None:
         ("a.tif,b.tif\n", ["-o", "ref.tif"], ["'ref.tif' is a file", "a folder is needed"]),
         ("a.tif,b.tif\n", ["--set", "fsc.treshold=2"], ["'fsc.treshold'", "'fsc.threshold'"]),
         ("a.tif,b.tif,pairs.summary.csv\n", [], ["is written already"]),
+        ("secondary,reference,initial\na,b,x.json\na,b,\n", ["--search-radius", "9"], ["needs --initial RESULT.json"]),
         ("a.tif,b.tif,pairs.csv\n", [], ["pairs.csv' of pair a_b would replace an input"]),
         (
             "reference,secondary,mask_reference,output\na.tif,b.tif,m.png,m.png\n",
