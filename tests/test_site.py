@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import html
 import importlib.util
 import json
 import os
@@ -93,6 +94,20 @@ def test_every_link_leads_somewhere_and_nothing_is_loaded_from_elsewhere(site: P
     for path in site.rglob("*.css"):
         loaded = re.findall(r"url\(\s*[\"']?(https?:[^)\"']+)", path.read_text(encoding="utf-8"))
         assert loaded == [], path
+
+
+@pytest.mark.slow
+def test_the_menu_names_every_page_and_every_part(site: Path) -> None:
+    menu = (DOCS / "site" / "mkdocs.yml").read_text(encoding="utf-8").partition("nav:")[2]
+    shown = (site / "index.html").read_text(encoding="utf-8").partition('data-md-level="0"')[2]
+    links = re.findall(
+        r'<a href="([^"]+)" class="md-nav__link[^"]*">\s*<span class="md-ellipsis">\s*([^<]+?)\s*</span>', shown
+    )
+    for title, page in re.findall(r"- (.+): (\S+)\.md$", menu, re.M):
+        path = f"{page}.html".replace("README.html", "index.html")
+        assert links.count((path, html.escape(title, quote=False))) == 1, title
+    for part in re.findall(r'<label class="md-nav__link.*?</label>', shown, re.S):
+        assert re.sub(r"<[^>]*>", "", part).strip(), "a part of the menu without a name"
 
 
 @pytest.mark.slow
