@@ -13,7 +13,7 @@ import pytest
 import featreg
 from featreg import registry
 from featreg.cli.main import main
-from featreg.errors import DuplicatePluginError, PluginError
+from featreg.errors import DuplicatePluginError, ParameterError, PluginError
 from featreg.presets import PRESETS
 from featreg.simulate import SimulatedPair
 
@@ -56,6 +56,25 @@ def test_a_preset_is_registered_once_or_again_as_it_was(own: str) -> None:
         featreg.register_preset("sar-orb", mine)
 
 
+def changed(**fields: Any) -> featreg.Preset:
+    return dataclasses.replace(PRESETS["sar-orb"], **fields)
+
+
+@pytest.mark.parametrize(("given", "words"), [
+    ({"trust": {"uncertainty": 0.5}}, "trust has no parameter 'uncertainty', did you mean 'uncertainty_px'"),
+    ({"refinement": {"serch": 9}}, "refine has no parameter 'serch', did you mean 'search'"),
+])  # fmt: skip
+def test_a_misspelt_limit_of_a_preset_is_told(pair: SimulatedPair, own: str, given: Any, words: str) -> None:
+    featreg.register_preset(own, changed(**given))
+    with pytest.raises(ParameterError, match=words):
+        featreg.match(pair.reference, pair.secondary, method=own)
+
+
+def test_a_list_of_filters_is_as_good_as_a_tuple(own: str) -> None:
+    featreg.register_preset(own, changed(filters=[featreg.Part("fsc")]))
+    assert PRESETS[own].filters == (featreg.Part("fsc"),)
+
+
 @pytest.mark.parametrize(
     ("name", "preset", "words"),
     [
@@ -64,6 +83,24 @@ def test_a_preset_is_registered_once_or_again_as_it_was(own: str) -> None:
         ("mine", featreg.Preset("nothing"), "needs a matcher, or a detector and a nearest"),
         ("mine", featreg.Preset("half", detector=featreg.Part("orb")), "needs a matcher, or a detector and a nearest"),
         ("mine", featreg.Preset("words", matcher="patch-grid"), "must be featreg.Part, got 'patch-grid'"),  # type: ignore[arg-type]
+        ("mine", changed(filters=featreg.Part("gms")), "filters must be a tuple, got Part(name='gms'"),
+        ("mine", featreg.Preset("letters", methods="sar-orb"), "methods must be a tuple, got 'sar-orb'"),  # type: ignore[arg-type]
+        (
+            "mine",
+            featreg.Preset("itself", methods=("mine",)),
+            "is a choice of methods and cannot have the choice 'mine'",
+        ),
+        ("mine", featreg.Preset("nested", methods=("auto",)), "cannot have the choice 'auto' in it"),
+        ("mine", changed(methods=("sift",)), "is a choice of methods and cannot have a detector of its own"),
+        ("mine", changed(matcher=featreg.Part("patch-grid")), "has a matcher, beside which a detector does nothing"),
+        ("mine", changed(locate="no"), "locate must be True or False, got 'no'"),
+        ("mine", changed(trust=[0.5]), "trust must be a mapping, got [0.5]"),
+        ("mine", changed(summary=None), "summary must be a line of text, got None"),
+        (
+            "mine",
+            changed(nearest=featreg.Part("brute-force", ["ratio"])),
+            "parameters of 'brute-force' must be a mapping",
+        ),  # type: ignore[arg-type]
     ],
 )
 def test_what_is_no_method_is_refused(name: str, preset: Any, words: str) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from featreg import registry
-from featreg.errors import ParameterError
+from featreg.errors import ParameterError, suggest
 from featreg.interfaces import Descriptor, Detector, Filter, Matcher, Model, Nearest
 from featreg.pipeline import keywords as declared
 from featreg.pipeline.feature_matcher import FeatureMatcher
@@ -285,6 +285,10 @@ def _route(
         "trust": (trust, [f.name for f in fields(Limits)]),
         **{role: (slot.parameters, slot.known) for role, slot in slots.items()},
     }
+    for role in ("refine", "trust"):  # what the preset says of them
+        given, names = takers[role]
+        if wrong := [key for key in given if key not in names]:
+            raise ParameterError(f"the preset: {role} has no parameter '{wrong[0]}', {suggest(str(wrong[0]), names)}")
     for key, value in keywords.items():
         known = {role: names for role, (_, names) in takers.items()}
         owner, short = owner_of(key, known, "no part of this method", declared.BY_NAME)
