@@ -38,6 +38,9 @@ def test_parameters_reach_the_plugin_and_symmetry_can_be_left_out() -> None:
     assert "mirror image" not in check_plugin("detector", "sar-ofast", symmetric=False, levels=2)
     with pytest.raises(UnknownNameError):
         check_plugin("filter", "no-such")
+    for kind in ("model", "detectr"):
+        with pytest.raises(UnknownNameError, match=f"no plugins of kind '{kind}' can be checked"):
+            check_plugin(kind, "affine")
 
 
 @pytest.fixture
@@ -118,3 +121,16 @@ def test_a_search_that_takes_two_kinds_is_named(registered: set[tuple[str, str]]
     with pytest.raises(PluginError, match="do not find themselves") as caught:
         check_plugin("nearest", "bad-nearest")
     assert "descriptors of two kinds must be refused" in str(caught.value)
+
+
+def test_a_filter_that_goes_by_the_score_is_named(registered: set[tuple[str, str]]) -> None:
+    @featreg.register("bad-score")
+    class Bad(Filter):
+        """Those of the better scores."""
+
+        def keep(self, matches: Matches, context: FilterContext) -> NDArray[np.bool_]:
+            return np.asarray(matches.score > np.median(matches.score)) if len(matches) else np.zeros(0, np.bool_)
+
+    with pytest.raises(PluginError, match="where all scores are equal") as caught:
+        check_plugin("filter", "bad-score")
+    assert "of what an affine map explains, 80 % are expected" in str(caught.value)
