@@ -98,9 +98,9 @@ def test_a_list_of_filters_is_as_good_as_a_tuple(own: str) -> None:
         ("mine", changed(summary=None), "summary must be a line of text, got None"),
         (
             "mine",
-            changed(nearest=featreg.Part("brute-force", ["ratio"])),
+            changed(nearest=featreg.Part("brute-force", ["ratio"])),  # type: ignore[arg-type]
             "parameters of 'brute-force' must be a mapping",
-        ),  # type: ignore[arg-type]
+        ),
     ],
 )
 def test_what_is_no_method_is_refused(name: str, preset: Any, words: str) -> None:
