@@ -1,6 +1,7 @@
 """Large pairs looked at whole, on one thread and on two, beside OpenCV's ORB on the same pixels.
 
-    python benchmarks/large.py [--sides 600,4000] [--methods sar-orb,sar-sift] [--features 2000] [--rounds 3] [--seed 0]
+    python benchmarks/large.py [--sides 600,4000] [--methods sar-orb,sar-sift] [--features 2000] [--threads 2]
+                               [--rounds 3] [--seed 0]
 
 CPU time of the process over that of ORB's pair in the same round, on one thread, and how many times sooner two threads
 have the result, by wall time: that column says something on an idle machine only, for which the load is printed.

@@ -74,7 +74,13 @@ def arguments(text: str | None, limit: float, pairs: int) -> argparse.ArgumentPa
 def methods_of(text: str) -> tuple[list[str], list[str]]:
     """The methods that are run, and lines that say why others are not."""
     if text != "all":
-        return [name for name in text.split(",") if name], []
+        asked = [name for name in text.split(",") if name]
+        for name in asked:
+            try:
+                check_keywords({"method": name})
+            except FeatregError as error:
+                raise SystemExit(f"--methods: {error}") from error
+        return asked, []
     found, left_out = [], []
     for name in featreg.available("method"):
         try:

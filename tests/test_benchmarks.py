@@ -91,6 +91,14 @@ def test_refusals_and_failures_are_not_within_and_only_trusted_errors_are_wrong(
     assert 0 <= low < 0.6 < high <= 1
 
 
+def test_a_misspelt_method_ends_the_run_before_it_begins() -> None:
+    from pair_protocol import methods_of
+
+    assert methods_of("sar-orb,orb") == (["sar-orb", "orb"], [])
+    with pytest.raises(SystemExit, match="--methods: unknown method 'sar-orbs'"):
+        methods_of("orb,sar-orbs")
+
+
 def test_pairs_of_a_set_are_spread_and_their_warps_are_their_own() -> None:
     from pair_protocol import spread
     from sar_sar import known_pairs

@@ -181,6 +181,8 @@ def _gaussian(torch: Any, n: int, sigma: float, like: Tensor) -> Tensor:
 def _planes(amplitude: Tensor) -> Tensor:
     if amplitude.ndim != 4 or amplitude.shape[1] != 1:
         raise InputError(f"amplitudes must be (B, 1, H, W), got {tuple(amplitude.shape)}")
+    if not amplitude.is_floating_point():
+        raise InputError(f"amplitudes must be floating point, got {amplitude.dtype}")
     return amplitude[:, 0]
 
 

@@ -8,6 +8,7 @@ The naming rule of a folder: two images whose names end in the two words of one 
 from __future__ import annotations
 
 import dataclasses
+import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -74,9 +75,10 @@ def _heights(pair: Mapping[str, Any], where: str) -> dict[str, Any]:
     if len(given) > 1:
         raise InputError(f"{where}: heights come from 'dem' or from 'height', not from both")
     dem, height = given.get("dem"), given.get("height")
-    if dem is not None and not Path(dem).is_file():
+    if dem is not None and not (isinstance(dem, str | Path) and Path(dem).is_file()):
         raise InputError(f"{where}: no elevation model '{dem}'")
-    if height is not None and (isinstance(height, bool) or not isinstance(height, int | float)):
+    number = isinstance(height, int | float) and not isinstance(height, bool) and math.isfinite(height)
+    if height is not None and not number:
         raise InputError(f"{where}: height must be a number of metres, got {height!r}")
     return given
 

@@ -48,7 +48,7 @@ VALUES: Mapping[str, tuple[Callable[[Any], bool], str]] = {
         "a whole number of pixels >= 1, true or false",
     ),
     "dem": _TEXT,
-    "height": (_number, "a number of metres"),
+    "height": (lambda value: _number(value, -float("inf")), "a number of metres"),
     "split": _NAME,
     "time_limit": (lambda value: _number(value, 0), "a number of seconds > 0"),
     "timing": _SWITCH,
@@ -107,6 +107,8 @@ class Protocol:
             value, (possible, words) = getattr(self, f.name), VALUES[f.name]
             if not (possible(value) if value is not None else f.default is None):
                 raise ParameterError(f"{f.name} must be {words}, got {value!r}")
+        if self.dem is not None and self.height is not None:
+            raise ParameterError("heights come from 'dem' or from 'height', not from both")
 
     @classmethod
     def from_dict(cls, given: Mapping[str, Any]) -> Self:

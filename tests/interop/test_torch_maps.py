@@ -81,6 +81,8 @@ def test_wrong_input_is_told() -> None:
 
     with pytest.raises(InputError, match="B, 1, H, W"):
         roewa_module()(torch.ones(40, 40))
+    with pytest.raises(InputError, match="must be floating point"):
+        harris_module()(torch.ones(1, 1, 40, 40, dtype=torch.int32))
     with pytest.raises(ParameterError, match="alpha"):
         roewa_module(alpha=0)
     with pytest.raises(ParameterError, match="integration"):

@@ -94,12 +94,18 @@ def test_heights_that_cannot_be_are_named(scene: ScenePair) -> None:
     for wrong, text in (
         ({"dem": "none.tif"}, "no elevation model 'none.tif'"),
         ({"dem": str(scene.dem), "height": 3.0}, "not from both"),
+        ({"dem": 7}, "no elevation model '7'"),
         ({"height": "high"}, "height must be a number of metres"),
+        ({"height": float("nan")}, "height must be a number of metres"),
     ):
         with pytest.raises(InputError, match=f"pair 1: .*{text}"):
             resolve([{**pair, **wrong}])
     with pytest.raises(ParameterError, match="block must be"):
         Protocol(block=0)
+    with pytest.raises(ParameterError, match="height must be a number of metres, got nan"):
+        Protocol(height=float("nan"))
+    with pytest.raises(ParameterError, match="heights come from 'dem' or from 'height', not from both"):
+        Protocol(dem="dem.tif", height=3.0)
     with pytest.raises(ParameterError, match="split must be 'prior' or 'proportional'"):
         Experiment([pair], ["orb"], protocol=Protocol(split="even")).check()
 
