@@ -19,6 +19,12 @@ from figures import focusing, matching, targets
 from figures.page import Figure, write_page
 from measuring import machine, on_one_thread
 
+#: What stands at the head of the page.
+WRITTEN_FOR = (
+    "The numbers in the captions are those of this run; what they say beside the paper's was written for seed 0, 90 "
+    "couples and real images."
+)
+
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -41,7 +47,8 @@ def main() -> None:
         if unknown:
             raise SystemExit(f"unknown part '{unknown[0]}', known: {', '.join(makers)}")
         parts = [(paper, said, make()) for name, (paper, said, make) in makers.items() if name in wanted]
-    write_page(given.out, parts, f"Seed {given.seed}; {machine()}.")
+    run = f"Seed {given.seed}, {min(given.couples, 90)} couples; {machine()}."
+    write_page(given.out, parts, f"{run} {WRITTEN_FOR}")
     if given.png is not None:
         given.png.mkdir(parents=True, exist_ok=True)
         for name, (_, _, drawn) in zip((n for n in makers if n in wanted), parts, strict=True):

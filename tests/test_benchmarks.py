@@ -14,6 +14,7 @@ import pytest
 
 from featreg.geometry import Affine
 from featreg.interfaces import FailedFit
+from featreg.io import as_image
 
 HERE = Path(__file__).parents[1] / "benchmarks"
 
@@ -124,3 +125,14 @@ def test_the_page_holds_its_pictures_and_needs_nothing_from_elsewhere(tmp_path: 
     assert text.count("data:image/png;base64,") == 2
     assert "Figure 1: A &amp; B" in text
     assert not re.search(r'(src|href)="http', text)
+
+
+@pytest.mark.parametrize(("what", "same"), [("two 1-degree apertures of Gotcha", True), ("a simulated lot", False)])
+def test_a_simulated_couple_is_not_called_that_of_the_paper(what: str, same: bool) -> None:
+    from figures.targets import couple
+    from rotation import Couple
+
+    image = as_image(landscape(40, 1) + np.float32(1))
+    drawn = couple(Couple("a", 0.0, image, image), what)
+    assert ("The same parking lot as in the paper" in drawn.beside) == same
+    assert "40 x 40 px" in drawn.shown
