@@ -9,7 +9,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from featreg.errors import FeatregError
+from featreg.errors import FeatregError, UnknownNameError
 from featreg.registry import entries, entry, presets
 from featreg.runtime import precompiled
 from featreg.runtime.files import write_atomic
@@ -97,8 +97,11 @@ def _methods() -> Iterator[dict[str, Any]]:
         if preset.methods:
             continue  # each has a turn of its own
         steps = [*preset.parts, *(("filter", part) for part in preset.filters)]
+        try:
+            found = [entry(kind, part.name) for kind, part in steps]
+        except UnknownNameError:
+            continue  # of somebody else's preset: said where it is used
         used.update((kind, part.name) for kind, part in steps)
-        found = [entry(kind, part.name) for kind, part in steps]
         if not any(e.unavailable for e in found) and all(e.compiled for e in found):
             yield {"method": method}
     for kind in ("detector", "descriptor", "nearest", "matcher", "filter"):

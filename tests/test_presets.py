@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import featreg
-from featreg import registry
+from featreg import registry, warming
 from featreg.cli.main import main
 from featreg.errors import DuplicatePluginError, ParameterError, PluginError
 from featreg.presets import PRESETS
@@ -120,3 +120,9 @@ def test_a_module_that_fails_after_registering_a_preset_leaves_none(own: str) ->
         assert "no such library" in registry.broken()["somebodys.presets"]
     finally:
         del registry._broken["somebodys.presets"]
+
+
+def test_a_preset_whose_part_is_missing_does_not_keep_the_others_from_warming_up(own: str) -> None:
+    before = list(warming._methods())
+    featreg.register_preset(own, changed(detector=featreg.Part("no-such")))
+    assert list(warming._methods()) == before
