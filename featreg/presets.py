@@ -167,8 +167,15 @@ _PAPER_GRID = {"tie_points": "cc", "patch": 64, "step": 32, "subpixel": False, "
 
 # The best of many alignments, and outlines that both images share, make chance look like less than it is: of 120 pairs
 # of an optical and a SAR image of different places none passed 51 tie points or -84 (of 240, before the descriptor's
-# last change, 53 and -93); of 40 true pairs 39 reach 212, -442 and 2.2 px.
-_SEARCHED_TRUST = {"least_inliers": 60, "significance": -140.0, "uncertainty_px": 3.5, "held_out_px": 3.0}
+# last change, 53 and -93); of 40 true pairs 39 reach 212, -442 and 2.2 px. `drift` compares
+# intensities, see _DENSE_TRUST: it refused two right pairs of these with windows that moved together by 8 and 11 px.
+_SEARCHED_TRUST = {
+    "least_inliers": 60,
+    "significance": -140.0,
+    "uncertainty_px": 3.5,
+    "held_out_px": 3.0,
+    "drift_px": math.inf,
+}
 
 # Of 38 optical-SAR pairs three were trusted that were 6 to 8 px off, with 38 to 51 tie points and 1e-35 to 1e-56 by
 # chance; what optical-sar must reach refuses them.

@@ -70,7 +70,7 @@ def check_plugin(kind: str, name: str, *, symmetric: bool = True, **parameters: 
     entry = registry.entry(kind, name)
 
     def make(**more: Any) -> Any:
-        return registry.create(kind, name, **{**parameters, **more})  # type: ignore[call-overload]
+        return registry.create(kind, name, **{**parameters, **more})  # type: ignore[call-overload]  # kind is one of OF_KIND
 
     plugin = Plugin(entry, make, make())
     checks = {**EVERY, **OF_KIND[kind]}

@@ -26,6 +26,8 @@ def in_terminal(folder: Path, *arguments: str, interrupt_at: str | None = None, 
     child, master = pty.fork()
     if child == 0:
         os.chdir(folder)
+        # A shell that runs the tests in the background has them ignore what Ctrl-C sends.
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
         variables = {k: v for k, v in os.environ.items() if k not in ("NO_COLOR", "COLUMNS")}
         variables |= {"TERM": "xterm-256color", "COLUMNS": "90", **environment}
         os.execve(sys.executable, [sys.executable, "-m", "featreg", *arguments], variables)

@@ -140,7 +140,14 @@ def test_a_run_that_was_cancelled_goes_on(
 def started(located_pair: Any, state: Path, out: Path, *more: str) -> subprocess.Popen[bytes]:
     command = [*COMMAND, str(located_pair.reference), str(located_pair.secondary), "--block", "150"]
     command += ["--workers", "2", "--resume", str(state), "--json", str(out), *more]
-    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True)
+    return subprocess.Popen(
+        command,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+        # A shell that runs the tests in the background has them ignore what Ctrl-C sends.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
 
 
 def wait_for_files(state: Path, count: int, process: subprocess.Popen[bytes]) -> None:

@@ -174,7 +174,7 @@ def test_keywords_reach_match(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(sys.modules["featreg.matching"], "match", match)
     compare([(image(0), image(1))], [("a", {"n_features": 7})], seed=3, warm_up=False, n_features=9, model="rigid")
-    assert seen == [{"seed": 3, "n_features": 7, "model": "rigid", "method": "a"}]
+    assert seen == [{"seed": 3, "n_features": 7, "model": "rigid", "method": "a", "executor": "serial"}]
 
 
 def test_an_executor_predicts_and_a_serial_pass_measures(calls: Calls) -> None:
