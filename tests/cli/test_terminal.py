@@ -8,6 +8,7 @@ import select
 import signal
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -25,12 +26,16 @@ def in_terminal(folder: Path, *arguments: str, interrupt_at: str | None = None, 
     """(exit code, what was shown) of a command in a terminal of 90 columns; Ctrl-C when it has shown a text."""
     child, master = pty.fork()
     if child == 0:
-        os.chdir(folder)
-        # A shell that runs the tests in the background has them ignore what Ctrl-C sends.
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
-        variables = {k: v for k, v in os.environ.items() if k not in ("NO_COLOR", "COLUMNS")}
-        variables |= {"TERM": "xterm-256color", "COLUMNS": "90", **environment}
-        os.execve(sys.executable, [sys.executable, "-m", "featreg", *arguments], variables)
+        try:
+            os.chdir(folder)
+            # A shell that runs the tests in the background has them ignore what Ctrl-C sends.
+            with suppress(ValueError):
+                signal.signal(signal.SIGINT, signal.SIG_DFL)
+            variables = {k: v for k, v in os.environ.items() if k not in ("NO_COLOR", "COLUMNS")}
+            variables |= {"TERM": "xterm-256color", "COLUMNS": "90", **environment}
+            os.execve(sys.executable, [sys.executable, "-m", "featreg", *arguments], variables)
+        finally:
+            os._exit(127)
     shown, sent, end = b"", False, time.monotonic() + 120
     while time.monotonic() < end:
         if not select.select([master], [], [], 1)[0]:
