@@ -16,6 +16,7 @@ from featreg.geometry import as_model
 from featreg.interfaces import Matcher, Model
 from featreg.io import ImageLike, as_image
 from featreg.io.bands import BandLike, check_band
+from featreg.io.calibration import check_calibration
 from featreg.io.images import small_image
 from featreg.io.masks import MaskLike
 from featreg.io.raster_source import open_source
@@ -64,6 +65,7 @@ def match(
     secondary_mask: MaskLike | None = None,
     nodata: complex | None = None,
     scale: str | None = None,
+    calibrate: str | None = None,
     band: BandLike = None,
     reference_band: BandLike = None,
     secondary_band: BandLike = None,
@@ -101,6 +103,7 @@ def match(
     reference_mask, secondary_mask : pixels that are data: arrays, mask files or polygons
     nodata : value of samples that are not data
     scale : "amplitude", "intensity" or "db", what real samples are
+    calibrate : "sigma0", "beta0" or "gamma0": read both files, of products that state how, as amplitudes of it
     band : of both files: a name ("VV"), a number from 1, "iq" for complex samples of two bands, "rgb"
     reference_band, secondary_band : of either file, in place of `band`
     focus : autofocus of complex images first: a method of `featreg.focus`, or a function from an `Image` to its result,
@@ -150,7 +153,8 @@ def match(
     bands = bands_of({"band": band, "reference_band": reference_band, "secondary_band": secondary_band})
     for asked in bands:
         check_band(asked)
-    reading: Any = {"nodata": nodata, "scale": scale}
+    check_calibration(calibrate, scale)
+    reading: Any = {"nodata": nodata, "scale": scale, "calibrate": calibrate}
     images: list[Image | None] = [None, None]
     with cancellable(cancel), collecting() as seconds, stage("read"):
         for i in range(0 if size else 2):
@@ -212,6 +216,7 @@ def keypoints_of(
     mask: MaskLike | None = None,
     nodata: complex | None = None,
     scale: str | None = None,
+    calibrate: str | None = None,
     band: BandLike = None,
     focus: Focus | None = None,
     **keywords: Any,
@@ -224,7 +229,7 @@ def keypoints_of(
     matcher = pipelines[0].matcher
     if len(pipelines) > 1 or not isinstance(matcher, FeatureMatcher):
         return None
-    whole = as_image(image, mask=mask, nodata=nodata, scale=scale, band=band)
+    whole = as_image(image, mask=mask, nodata=nodata, scale=scale, calibrate=calibrate, band=band)
     if focus is not None and whole.is_complex:
         from featreg.focusing.inputs import focused_input
 
@@ -246,6 +251,7 @@ def check_keywords(keywords: Mapping[str, Any]) -> None:
         check_method(known["focus"])
     for band in bands_of(known):
         check_band(band)
+    check_calibration(known.get("calibrate"), known.get("scale"))
     _, initial, radius = _prior(known.get("prior"), known.get("initial"), known.get("search_radius"))
     _initial(initial, radius)
     assemble_all(**of_pipeline(keywords), blocks=None if size is None else bool(size))

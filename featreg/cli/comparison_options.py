@@ -201,7 +201,9 @@ def check_images(experiment: Experiment) -> None:
     for pair in pairs:
         try:
             for image, band in zip((pair.reference, pair.secondary), bands, strict=True):
-                open_source(image, nodata=protocol.nodata, scale=protocol.scale, band=band)
+                open_source(
+                    image, nodata=protocol.nodata, scale=protocol.scale, calibrate=protocol.calibrate, band=band
+                )
         except InputError as error:
             errors.append(error)
     if len(errors) == len(pairs):

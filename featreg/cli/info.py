@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from featreg.cli.options import BandOption, NodataOption
+from featreg.cli.options import BandOption, CalibrateOption, NodataOption
 
 if TYPE_CHECKING:
     from featreg.io.raster_source import RasterSource
@@ -29,6 +29,7 @@ def info(
             show_default="told from the samples",
         ),
     ] = None,
+    calibrate: CalibrateOption = None,
     nodata: NodataOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON for machines.")] = False,
 ) -> None:  # fmt: skip
@@ -37,7 +38,7 @@ def info(
     Format, bands, size, what the samples are, looks, share of pixels without data, and where it lies and how well that
     is known. A file of several bands of which none is named is described too.
     """
-    found = describe(file, band=band, scale=scale, nodata=nodata)
+    found = describe(file, band=band, scale=scale, calibrate=calibrate, nodata=nodata)
     if as_json:
         typer.echo(json.dumps(found, indent=1, allow_nan=False))
         return
@@ -55,19 +56,27 @@ def info(
 
 def _line(value: Any) -> str:
     if isinstance(value, dict):
-        return ", ".join(f"{k.replace('_', ' ')} {_line(v)}" for k, v in value.items() if v is not None)
+        return ", ".join(f"{k.replace('_', ' ')} {_line(v)}" for k, v in value.items() if v not in (None, []))
+    if isinstance(value, list):
+        return " or ".join(map(str, value))
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def describe(
-    file: str, *, band: str | None = None, scale: str | None = None, nodata: float | None = None
+    file: str,
+    *,
+    band: str | None = None,
+    scale: str | None = None,
+    calibrate: str | None = None,
+    nodata: float | None = None,
 ) -> dict[str, Any]:
     """Describe a file.
 
     Returns
     -------
     A dict fit for JSON: ``file``, ``format``, ``bands`` [{name, dtype, width, height, role, states}], ``read`` (which
-    band, None where one must be named), ``size`` {width, height}, ``samples`` {dtype, scale, told_by}, ``looks`` (the
+    band, None where one must be named), ``size`` {width, height}, ``samples`` {dtype, scale, told_by}, ``calibration``
+    {possible, applied, note}, ``looks`` (the
     independent looks that the most even ground shows), ``without_data`` (share of pixels), ``place`` {kind,
     accuracy_px, pixel_x, pixel_y, unit, crs, centre_lon, centre_lat, note}, ``will`` (what a match does with it).
 
@@ -92,7 +101,7 @@ def describe(
     ]
     found: dict[str, Any] = {"file": file, "format": driver, "bands": listed}
     try:
-        source: RasterSource = open_source(file, band=band, scale=scale, nodata=nodata)  # type: ignore[assignment]  # of a path it is one
+        source: RasterSource = open_source(file, band=band, scale=scale, calibrate=calibrate, nodata=nodata)  # type: ignore[assignment]  # of a path it is one
     except InputError as error:
         if band is not None or len(bands) < 2:
             raise
@@ -107,11 +116,30 @@ def describe(
         "read": choice[head.choice.how] or head.first.name or f"band {head.choice.bands[0] + 1}",
         "size": {"width": source.shape[1], "height": source.shape[0]},
         "samples": {"dtype": source.dtype, "scale": source.known_scale, "told_by": told},
+        "calibration": _calibration(file, head.choice.bands[0], calibrate),
         "looks": looks,
         "without_data": round(1.0 - float(mask.mean()), 4) if mask.size else None,
         "place": _place(source),
         "will": _will(source),
     }
+
+
+def _calibration(file: str, band: int, applied: str | None) -> dict[str, Any] | None:
+    """What a band can be calibrated to; None where its file says nothing of it."""
+    from featreg.errors import InputError
+    from featreg.io.calibration import calibration_of
+    from featreg.io.opening import open_reader
+
+    reader = open_reader(file)
+    try:
+        known = calibration_of(reader, band)
+    except InputError as error:
+        return {"possible": [], "applied": applied, "note": str(error).removeprefix(f"{file}: ")}
+    finally:
+        reader.close()
+    if known is None:
+        return None
+    return {"possible": list(known.factors), "applied": applied, "note": "thermal noise is left in"}
 
 
 def _sampled(source: RasterSource) -> tuple[FloatArray, BoolArray]:

@@ -263,7 +263,11 @@ class MatchRequest:
         """Draw a result into a PNG file; `masks` are those of this pair, where it has its own."""
         from featreg.pictures.drawing import draw_registration
 
-        reading: Any = {"nodata": self.common.nodata, "scale": self.common.scale}
+        reading: Any = {
+            "nodata": self.common.nodata,
+            "scale": self.common.scale,
+            "calibrate": self.common.calibrate,
+        }
         bands = bands_of(self.common.keywords())
         known = self.masks.keywords() if masks is None else masks
         here, factor = image_to_draw(reference, mask=known["reference_mask"], band=bands[0], **reading)

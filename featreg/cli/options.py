@@ -80,6 +80,18 @@ BandOption: TypeAlias = Annotated[
 ]
 
 
+CalibrateOption: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        "--calibrate",
+        metavar="QUANTITY",
+        help="Read samples of a product as amplitudes of sigma0, beta0 or gamma0, by its own metadata.",
+        show_default="as they are",
+        autocompletion=completion.words("sigma0", "beta0", "gamma0"),
+    ),
+]
+
+
 @dataclass(frozen=True)
 class ReadingOptions:
     """How the two images of a pair are read."""
@@ -94,6 +106,7 @@ class ReadingOptions:
             autocompletion=completion.scales,
         ),
     ] = None
+    calibrate: CalibrateOption = None
     nodata: NodataOption = None
     band: BandOption = None
     reference_band: Annotated[

@@ -106,6 +106,16 @@ def warp(
             show_default="as in the result",
         ),
     ] = None,
+    calibrate: Annotated[
+        str | None,
+        typer.Option(
+            "--calibrate",
+            metavar="QUANTITY",
+            help="Write sigma0, beta0 or gamma0 by the metadata of the product SEC.",
+            show_default="as in the result",
+            autocompletion=completion.words("sigma0", "beta0", "gamma0"),
+        ),
+    ] = None,
     nodata: NodataOption = None,
     workers: Annotated[
         int | None,
@@ -143,6 +153,7 @@ def warp(
             band=band,
             scale=scale,
             nodata=nodata,
+            calibrate=calibrate,
             secondary_scale=secondary_scale,
             deramp=deramp,
             coherence=coherence,

@@ -58,6 +58,7 @@ def offsets(
     secondary_mask: MaskLike | None = None,
     nodata: complex | None = None,
     scale: str | None = None,
+    calibrate: str | None = None,
     band: BandLike = None,
     reference_band: BandLike = None,
     secondary_band: BandLike = None,
@@ -79,7 +80,8 @@ def offsets(
     search : largest displacement looked for, px, beyond what `initial` says
     initial : what is known beforehand: a `Registration`, a model, a matrix or the JSON file of a result. None takes the
         images' geolocation where both have a geotransform, else that they lie on one grid
-    reference_mask, secondary_mask, nodata, scale, band, reference_band, secondary_band : as in `featreg.match`
+    reference_mask, secondary_mask, nodata, scale, calibrate, band, reference_band, secondary_band : as in
+        `featreg.match`
     block : side of the blocks in which to work, px, False for the whole images at once; None works in blocks where an
         image has more than 4 million pixels
     executor, workers, scheduler : what runs the blocks, as in `featreg.match`; never changes the result
@@ -110,7 +112,7 @@ def offsets(
     check_watch(progress, cancel)
     bands = bands_of({"band": band, "reference_band": reference_band, "secondary_band": secondary_band})
     here, there = (
-        open_source(source, mask=mask, nodata=nodata, scale=scale, band=asked)
+        open_source(source, mask=mask, nodata=nodata, scale=scale, calibrate=calibrate, band=asked)
         for source, mask, asked in zip((reference, secondary), (reference_mask, secondary_mask), bands, strict=True)
     )
     base = _known(initial, here, there)

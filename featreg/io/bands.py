@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import InputError, ParameterError, suggest
+from featreg.io.calibration import Factor, calibrated, factor_of
 from featreg.io.reader import Band, Raster, Reader, physical
 from featreg.io.window import Window
 
@@ -185,12 +186,18 @@ def name_of(bands: Sequence[Band], choice: Choice) -> str | None:
     return str(choice.bands[0] + 1)
 
 
-def read_choice(reader: Reader, choice: Choice, window: Window | None = None) -> Raster:
-    """The samples of what was chosen, with one mask; errors as `Reader.read`."""
+def read_choice(
+    reader: Reader, choice: Choice, window: Window | None = None, *, calibrate: str | None = None, called: str = ""
+) -> Raster:
+    """The samples of what was chosen, with one mask; errors as `Reader.read` and `featreg.io.calibration.factor_of`."""
+    factor = None if calibrate is None else _factor(reader, choice, calibrate, called)
     parts = [reader.read(band, window) for band in choice.bands]
     first = parts[0]
     if choice.how == "one":
-        return first
+        if factor is None:
+            return first
+        height, width = first.samples.shape
+        return calibrated(first, factor, window or Window(0, 0, width, height))
     mask = first.mask
     for part in parts[1:]:
         if part.mask is not None:
@@ -201,6 +208,12 @@ def read_choice(reader: Reader, choice: Choice, window: Window | None = None) ->
         samples.real, samples.imag = physical(parts[0]), physical(parts[1])
         return replace(whole, samples=samples, dtype="complex64")
     return replace(whole, samples=luminance([physical(part) for part in parts]), said=first.said)
+
+
+def _factor(reader: Reader, choice: Choice, quantity: str, called: str) -> Factor:
+    if choice.how != "one":
+        raise InputError(f"{called}: nothing says how to calibrate the {choice.how} of several bands to {quantity}")
+    return factor_of(reader, choice.bands[0], quantity, called)
 
 
 def _scaled(raster: Raster) -> float | None:

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from featreg.errors import InputError
 from featreg.io.bands import COLOURS, luminance
+from featreg.io.calibration import Calibration
 from featreg.io.gdal_drivers import BY_NAME
 from featreg.io.gdal_errors import GDAL_OPTIONS, decoding, quiet, reason
-from featreg.io.products.stated import stated_sensor
+from featreg.io.products.stated import stated_calibration, stated_sensor
 from featreg.io.reader import Band, Raster
 from featreg.io.rpc_file import rpc_beside
 from featreg.io.scales import scale_in_words
@@ -128,6 +129,21 @@ class GdalReader:
                 samples, opaque = _through_palette(samples, dataset.colormap(band + 1))
                 mask = opaque if mask is None else mask & opaque
         return Raster(samples, known.dtype, mask, known.nodata, known.gain, known.offset, said=known.said)
+
+    def calibration(self, band: int) -> Calibration | None:
+        """What the metadata of its product state; RADARSAT-2 is calibrated by GDAL itself, under another name."""
+        if self.driver == "RS2":
+            raise InputError(
+                f"{self.called}: is calibrated by GDAL: give RADARSAT_2_CALIB:SIGMA0:{self.dataset.name} (or BETA0, "
+                "GAMMA) in place of the product, and leave calibrate out"
+            )
+        return self._calibration
+
+    @cached_property
+    def _calibration(self) -> Calibration | None:
+        with decoding(self.called, self.title), quiet():
+            tags = self.dataset.tags()
+        return stated_calibration(self.dataset.name, tags)
 
     def close(self) -> None:
         self.dataset.close()

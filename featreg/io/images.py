@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from featreg.errors import InputError, ParameterError, suggest
 from featreg.io.arrays import count_of, is_array, plain_array
 from featreg.io.bands import BandLike, check_band
+from featreg.io.calibration import check_calibration
 from featreg.io.data_arrays import NAME, DataArrayLike, is_data_array, read_data_array
 from featreg.io.masks import MaskLike, as_mask, holds_nodata
 from featreg.io.opening import read_raster, read_small_raster
@@ -36,6 +37,7 @@ def as_image(
     nodata: complex | None = None,
     scale: str | None = None,
     band: BandLike = None,
+    calibrate: str | None = None,
 ) -> Image:
     """Return `source` as an `Image` of linear amplitude or complex samples.
 
@@ -51,6 +53,8 @@ def as_image(
     scale : what real samples are: "amplitude", "intensity" (square root is taken) or "db" (10 ** (v / 20))
     band : of a file: its name ("VV"), its number from 1, "iq" for complex samples of an I and a Q band, "rgb"; None
         takes the only one, and of a colour image the Rec. 601 luminance
+    calibrate : "sigma0", "beta0" or "gamma0": samples of a product as amplitudes whose squares are that quantity, by
+        what its metadata state (docs/geolocation.md); thermal noise is left in
 
     Returns
     -------
@@ -63,9 +67,10 @@ def as_image(
     ------
     InputError
         The file cannot be read, has no such band, or several and none was named; the array is not 2-D and numeric, the
-        scale cannot be told, the image is smaller than 16 x 16, holds no valid pixel, or the same value everywhere.
+        scale cannot be told, the image is smaller than 16 x 16, holds no valid pixel, or the same value everywhere; the
+        file does not state the calibration that is asked for.
     ParameterError
-        An unknown scale, or a nodata that is no number.
+        An unknown scale or quantity, a scale that contradicts the calibration, or a nodata that is no number.
 
     Notes
     -----
@@ -77,15 +82,21 @@ def as_image(
     if scale is not None and scale not in SCALES:
         raise ParameterError(f"unknown scale '{scale}', {suggest(scale, SCALES)}")
     check_band(band)
+    check_calibration(calibrate, scale)
     if isinstance(source, Image):
+        if calibrate not in (None, source.calibration):
+            raise InputError(f"{source.name}: is an Image already, calibrate='{calibrate}' is for files of products")
         if band not in (None, source.band):
             raise InputError(f"{source.name}: is an Image already, band '{band}' is for files")
         return _restricted(source, mask, nodata, scale)
     if isinstance(source, str | Path):
-        return _image(read_raster(source, band), str(source), mask, nodata, scale, owned=True)
+        raster = read_raster(source, band, calibrate)
+        return _image(raster, str(source), mask, nodata, scale, owned=True, calibration=calibrate)
+    if calibrate is not None:
+        raise InputError(f"calibrate='{calibrate}' is for files of products, whose metadata say how; arrays have none")
     if is_data_array(source):
-        raster = read_data_array(source, band, math.inf)
-        return _image(cast(Raster, raster), NAME, mask, nodata, scale, owned=False)
+        read = read_data_array(source, band, math.inf)
+        return _image(cast(Raster, read), NAME, mask, nodata, scale, owned=False)
     if not is_array(source):
         given = type(source).__name__
         raise InputError(f"cannot make an image from {given}; give a path, a 2-D array or a featreg Image")
@@ -104,18 +115,24 @@ def small_image(
     nodata: complex | None = None,
     scale: str | None = None,
     band: BandLike = None,
+    calibrate: str | None = None,
 ) -> Image | None:
     """As `as_image`, of at most `most` pixels; None where there are more, and a file was opened but not read."""
     if isinstance(source, str | Path) and scale in (None, *SCALES):
         check_band(band)
-        raster = read_small_raster(source, most, band)
-        return None if raster is None else _image(raster, str(source), mask, nodata, scale, owned=True)
-    if is_data_array(source) and scale in (None, *SCALES):
+        check_calibration(calibrate, scale)
+        raster = read_small_raster(source, most, band, calibrate)
+        if raster is None:
+            return None
+        return _image(raster, str(source), mask, nodata, scale, owned=True, calibration=calibrate)
+    if is_data_array(source) and scale in (None, *SCALES) and calibrate is None:
         check_band(band)
         raster = read_data_array(source, band, most)
         return None if raster is None else _image(raster, NAME, mask, nodata, scale, owned=False)
     pixels = source.mask.size if isinstance(source, Image) else count_of(source) if is_array(source) else 0
-    return None if pixels > most else as_image(source, mask=mask, nodata=nodata, scale=scale, band=band)
+    if pixels > most:
+        return None
+    return as_image(source, mask=mask, nodata=nodata, scale=scale, band=band, calibrate=calibrate)
 
 
 def read_image(
@@ -125,9 +142,10 @@ def read_image(
     nodata: complex | None = None,
     scale: str | None = None,
     band: BandLike = None,
+    calibrate: str | None = None,
 ) -> Image:
     """Read an image file; the same as `as_image` with a path."""
-    return as_image(str(path), mask=mask, nodata=nodata, scale=scale, band=band)
+    return as_image(str(path), mask=mask, nodata=nodata, scale=scale, band=band, calibrate=calibrate)
 
 
 def image_or_none(array: NDArray[Any], mask: NDArray[Any] | None = None) -> Image | None:
@@ -169,7 +187,14 @@ def _restricted(image: Image, mask: MaskLike | None, nodata: complex | None, sca
 
 
 def _image(
-    raster: Raster, name: str, mask: MaskLike | None, nodata: complex | None, scale: str | None, *, owned: bool
+    raster: Raster,
+    name: str,
+    mask: MaskLike | None,
+    nodata: complex | None,
+    scale: str | None,
+    *,
+    owned: bool,
+    calibration: str | None = None,
 ) -> Image:
     samples = raster.samples
     _check_form(samples, name)
@@ -189,7 +214,10 @@ def _image(
         valid = np.ones(pixels.shape, np.bool_)
     else:
         pixels[~valid] = 0
-    return Image(read_only(pixels), read_only(valid), raster.geolocation, name, raster.dtype, scale, band=raster.band)
+    return Image(
+        read_only(pixels), read_only(valid), raster.geolocation, name, raster.dtype, scale,
+        band=raster.band, calibration=calibration,
+    )  # fmt: skip
 
 
 def _check_form(samples: NDArray[Any], name: str) -> None:

@@ -157,26 +157,30 @@ def _unknown(path: Path) -> str:
     return f"{path}: the content is not a known image format, and no header lies beside it; known are {KNOWN}"
 
 
-def read_raster(source: str | Path, band: BandLike = None) -> Raster:
+def read_raster(source: str | Path, band: BandLike = None, calibrate: str | None = None) -> Raster:
     """Read an image whole: samples as they are, which of them are data, where they lie.
 
     Parameters
     ----------
     source : see `featreg.io.source_names.parse_source`
     band : see `featreg.io.bands.choose`
+    calibrate : see `featreg.io.as_image`
 
     Raises
     ------
     InputError
-        As `open_reader` and `featreg.io.bands.choose`; or the file states more pixels than its bytes can hold.
+        As `open_reader`, `featreg.io.bands.choose` and `featreg.io.calibration.factor_of`; or the file states more
+        pixels than its bytes can hold.
     """
-    raster = read_small_raster(source, math.inf, band)
+    raster = read_small_raster(source, math.inf, band, calibrate)
     if raster is None:
         raise InputError(f"{source}: cannot be read whole")
     return raster
 
 
-def read_small_raster(source: str | Path, most: float, band: BandLike = None) -> Raster | None:
+def read_small_raster(
+    source: str | Path, most: float, band: BandLike = None, calibrate: str | None = None
+) -> Raster | None:
     """Read an image of at most `most` pixels, as `read_raster`; None where it holds more, which its head tells."""
     reader = open_reader(source)
     name = parse_source(source)
@@ -186,7 +190,7 @@ def read_small_raster(source: str | Path, most: float, band: BandLike = None) ->
         if first.shape[0] * first.shape[1] > most:
             return None
         check_plausible(source, reader, choice)
-        raster = read_choice(reader, choice)
+        raster = read_choice(reader, choice, calibrate=calibrate, called=str(source))
         place = reader.geolocation(choice.bands[0])
         called = None if name.dataset is not None else name_of(reader.bands, choice)
     finally:

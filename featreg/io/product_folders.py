@@ -17,6 +17,7 @@ from typing import Protocol
 from xml.etree import ElementTree
 
 from featreg.errors import InputError
+from featreg.io.calibration import Calibration, calibration_of
 from featreg.io.gdal_drivers import DRIVERS, driver_by_content
 from featreg.io.gdal_errors import decoding
 from featreg.io.gdal_reader import GdalReader, within_archive, within_folder
@@ -283,6 +284,9 @@ class JoinedReader:
     def read(self, band: int, window: Window | None = None) -> Raster:
         reader, own = self._of[band]
         return reader.read(own, window)
+
+    def calibration(self, band: int) -> Calibration | None:
+        return calibration_of(*self._of[band])
 
     def close(self) -> None:
         for close in self._close:

@@ -107,15 +107,15 @@ def read_head(stamp: Stamp, band: BandLike) -> Head:
     )
 
 
-def read_samples(source: str, band: BandLike, window: Window) -> Raster:
+def read_samples(source: str, band: BandLike, window: Window, calibrate: str | None = None) -> Raster:
     """The samples of the part of a window inside the scene; (0, 0) of them where it lies outside."""
     stamp = stamp_of(source)
     head = read_head(stamp, band)
     part = window.within(head.shape)
     if part is None:
         return Raster(np.zeros((0, 0), "complex64" if head.dtype.startswith("complex") else head.dtype), head.dtype)
-    if not head.whole:
-        return read_choice(_opened(stamp), head.choice, part)
+    if not head.whole or calibrate is not None:
+        return read_choice(_opened(stamp), head.choice, part, calibrate=calibrate, called=source)
     raster = _whole(stamp, band)
     rows, cols = slice(part.y, part.y + part.height), slice(part.x, part.x + part.width)
     mask = None if raster.mask is None else raster.mask[rows, cols]

@@ -17,6 +17,7 @@ import numpy as np
 from featreg.errors import InputError
 from featreg.io.arrays import is_array
 from featreg.io.bands import BandLike, check_band
+from featreg.io.calibration import check_calibration
 from featreg.io.data_arrays import is_data_array
 from featreg.io.gdal_reader import CACHE_BYTES
 from featreg.io.masks import MaskLike, holds_nodata, inside_polygons, polygons_of
@@ -57,6 +58,7 @@ class RasterSource(SampleSource):
     nodata : value of samples that are not data; None takes the file's own
     band : name, number from 1, "iq" or "rgb"; None is the only one, and a file of several bands is then an error
     mask : pixels that are data: path of an image of the same size, or polygons as nested tuples of (x, y)
+    calibrate : "sigma0", "beta0" or "gamma0", as `featreg.io.as_image` takes it
 
     Notes
     -----
@@ -68,6 +70,7 @@ class RasterSource(SampleSource):
     nodata: complex | None = None
     band: BandLike = None
     mask: Any = field(default=None, repr=False)
+    calibrate: str | None = None
 
     @property
     def name(self) -> str:
@@ -85,8 +88,11 @@ class RasterSource(SampleSource):
 
     @property
     def dtype(self) -> str:
-        """Name of the dtype of the samples in the file."""
-        return self.head.dtype
+        """Name of the dtype of the samples in the file, or of those that are calibrated."""
+        stored = self.head.dtype
+        if self.calibrate is None:
+            return stored
+        return "complex64" if stored.startswith("complex") else "float32"
 
     @property
     def geolocation(self) -> Geolocation | None:
@@ -98,15 +104,19 @@ class RasterSource(SampleSource):
         """What the samples are, told where it was not stated: "amplitude", "intensity", "db" or "complex"."""
         if self.is_complex:
             return "complex"
+        if self.calibrate is not None:
+            return "amplitude"
         return self.scale or inferred_scale(stamp_of(self.path), self.nodata, self.band, self.masked)
 
     def samples(self, window: Window) -> Raster:
-        return read_samples(self.path, self.band, window)
+        return read_samples(self.path, self.band, window, self.calibrate)
 
     def identity(self) -> dict[str, Any]:
         """What tells this source from another: size, time and both ends of its files, scale, nodata and band."""
         mask = fingerprint(self.mask) if isinstance(self.mask, str) else self.mask
+        more = {} if self.calibrate is None else {"calibrate": self.calibrate}
         return {
+            **more,
             **fingerprint(self.path),
             "shape": list(self.shape),
             "scale": self.known_scale,
@@ -127,6 +137,9 @@ class RasterSource(SampleSource):
                 raise InputError(f"mask {self.mask} of {self.path}: is {given} pixels, the scene is {wanted}")
         if self.is_complex and self.scale in ("intensity", "db"):
             raise InputError(f"{self.path}: holds complex samples, scale='{self.scale}' cannot be; leave scale out")
+        if self.calibrate is not None:
+            # What the file lacks shows here, before any work.
+            self.read(Window(0, 0, 1, 1))
         return self if self.is_complex else replace(self, scale=self.known_scale)
 
     def shareable(self, folder: Callable[[], Path], stem: str) -> RasterSource:
@@ -223,17 +236,19 @@ def open_source(
     nodata: complex | None = None,
     scale: str | None = None,
     band: BandLike = None,
+    calibrate: str | None = None,
 ) -> Source:
     """Return the source of a path, an array or an `Image`, checked; parameters and errors as `featreg.io.as_image`."""
     from featreg.io.images import as_image
 
-    if is_data_array(source) and scale in (None, *SCALES):
+    check_calibration(calibrate, scale)
+    if is_data_array(source) and scale in (None, *SCALES) and calibrate is None:
         from featreg.io.data_array_source import open_data_array
 
         check_band(band)
         return open_data_array(source, RasterSource, mask=mask, nodata=nodata, scale=scale, band=band)
     if not isinstance(source, str | Path):
-        return ImageSource(as_image(source, mask=mask, nodata=nodata, scale=scale, band=band))
+        return ImageSource(as_image(source, mask=mask, nodata=nodata, scale=scale, band=band, calibrate=calibrate))
     check_band(band)
     if scale is not None and scale not in SCALES:
         return ImageSource(as_image(source, scale=scale))  # raises, in the words of every other reader
@@ -242,10 +257,10 @@ def open_source(
         held = str(mask)
     elif is_array(mask) and len(shape := np.shape(cast(Any, mask))) == 2 and shape[1] != 2:
         # A mask in memory is as large as a scene in memory.
-        return ImageSource(as_image(source, mask=mask, nodata=nodata, scale=scale, band=band))
+        return ImageSource(as_image(source, mask=mask, nodata=nodata, scale=scale, band=band, calibrate=calibrate))
     elif mask is not None:
         held = tuple(tuple(map(tuple, polygon.tolist())) for polygon in polygons_of(mask, str(source)))
-    return RasterSource(str(source), scale, nodata, band, held).checked()
+    return RasterSource(str(source), scale, nodata, band, held, calibrate).checked()
 
 
 def located_source(source: str | Path, band: BandLike = None) -> RasterSource:

@@ -56,6 +56,7 @@ class Raster:
     geolocation : where the file says the image lies; left out of windows
     said : the scale that the file's names and units of the band state, if any
     band : what was read of a file of several bands
+    factor : (H, W) float32 by which values are multiplied for a calibrated quantity; None = they are left
     """
 
     samples: NDArray[Any]
@@ -67,6 +68,7 @@ class Raster:
     geolocation: Geolocation | None = None
     said: str | None = None
     band: str | None = None
+    factor: NDArray[np.float32] | None = None
 
 
 class Reader(Protocol):
@@ -104,7 +106,8 @@ class Reader(Protocol):
 
 
 def physical(raster: Raster) -> NDArray[Any]:
-    """The samples with the file's own gain and offset applied; untouched where it has none."""
-    if (raster.gain, raster.offset) == (1.0, 0.0):
-        return raster.samples
-    return np.asarray(raster.samples * raster.gain + raster.offset)
+    """The samples with the file's own gain and offset, and a calibration, applied; untouched where it has none."""
+    values = raster.samples
+    if (raster.gain, raster.offset) != (1.0, 0.0):
+        values = np.asarray(values * raster.gain + raster.offset)
+    return values if raster.factor is None else np.asarray(values * raster.factor)

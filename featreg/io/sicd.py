@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import InputError
+from featreg.io.calibration import Calibration
 from featreg.io.ellipsoid import geodetic
 from featreg.io.gdal_errors import decoding
-from featreg.io.products.sicd import sensor_of_sicd
+from featreg.io.products.sicd import calibration_of_sicd, sensor_of_sicd
 from featreg.io.reader import Band, Raster
 from featreg.io.window import Window
 from featreg.types import FloatArray, Geolocation
@@ -108,6 +109,15 @@ class SicdReader:
         """
         with decoding(self.path, "SICD"), _silent():
             return _geolocation(self._sicd, self.tree, self.bands[0].shape)
+
+    def calibration(self, band: int) -> Calibration | None:
+        """By the scale factors of its ``Radiometric``."""
+        return self._calibration
+
+    @cached_property
+    def _calibration(self) -> Calibration | None:
+        with _silent():
+            return calibration_of_sicd(self._sicd, self.tree, str(self.path))
 
     def close(self) -> None:
         self._file.close()

@@ -271,7 +271,7 @@ def _images(registration: Registration, *given: Any) -> tuple[Image, Image] | No
         if known is None or not Path(known.path).is_file():
             return None
         try:
-            read = small_image(known.path, MOST_PIXELS, scale=None if known.scale == "complex" else known.scale)
+            read = small_image(known.path, MOST_PIXELS, **known.reading)
         except InputError:
             return None
         if read is None or read.shape != known.shape:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from featreg.interfaces import Model
-from featreg.io.raster_source import ImageSource, Source
+from featreg.io.raster_source import ImageSource, RasterSource, Source
 from featreg.results.input_image import InputImage
 from featreg.sar.absurd import fill_hint
 from featreg.types import FloatArray, Image
@@ -27,9 +27,12 @@ def input_image(image: Image | Source) -> InputImage:
         size = pixel_size(place)
     if isinstance(image, Image):
         count = int(np.count_nonzero(image.mask))
-        return InputImage(image.name, image.shape, image.scale, image.source_dtype, count, size, place, image.band)
+        return InputImage(
+            image.name, image.shape, image.scale, image.source_dtype, count, size, place, image.band, image.calibration
+        )
     band = None if image.band is None else str(image.band)
-    return InputImage(image.path, image.shape, image.known_scale, image.dtype, None, size, place, band)
+    calibration = image.calibrate if isinstance(image, RasterSource) else None
+    return InputImage(image.path, image.shape, image.known_scale, image.dtype, None, size, place, band, calibration)
 
 
 def pixel_ratio(reference: InputImage, secondary: InputImage, initial: Model | None = None) -> tuple[float, float]:

@@ -53,6 +53,7 @@ KEYWORDS = (
     Keyword("secondary_mask", "image", "--mask-secondary"),
     Keyword("nodata", "image", "--nodata"),
     Keyword("scale", "image", "--scale"),
+    Keyword("calibrate", "image", "--calibrate"),
     Keyword("band", "image", "--band"),
     Keyword("reference_band", "image", "--reference-band"),
     Keyword("secondary_band", "image", "--secondary-band"),

@@ -84,9 +84,15 @@ def rasterio_window(window: Window) -> Any:
 
 @contextmanager
 def tiled_tiff(
-    path: Path, grid: Grid, first: Encoding, count: int, tags: dict[str, str], encodings: Sequence[Encoding] = ()
+    path: Path,
+    grid: Grid,
+    first: Encoding,
+    count: int,
+    tags: dict[str, str],
+    encodings: Sequence[Encoding] = (),
+    names: Sequence[str] = (),
 ) -> Iterator[Any]:
-    """An open, tiled, uncompressed TIFF on a grid."""
+    """An open, tiled, uncompressed TIFF on a grid; `names` are those of its bands."""
     import rasterio
 
     height, width = grid.shape
@@ -98,6 +104,8 @@ def tiled_tiff(
         if any((e.gain, e.offset) != (1.0, 0.0) for e in encodings):
             dataset.scales = [e.gain for e in encodings]
             dataset.offsets = [e.offset for e in encodings]
+        if names:
+            dataset.descriptions = tuple(names)
         yield dataset
 
 

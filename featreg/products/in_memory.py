@@ -11,6 +11,7 @@ from featreg.errors import InputError
 from featreg.io import ImageLike, as_image
 from featreg.io.bands import BandLike
 from featreg.io.data_arrays import DataArrayReader, is_data_array
+from featreg.io.raster_files import is_same
 from featreg.io.raster_source import located_source
 from featreg.products.data_arrays import blanked, warped_data_array
 from featreg.products.resample import model_of, resample, stated_shape
@@ -39,9 +40,9 @@ def warp(
 
     Returns
     -------
-    (H, W) float32 linear amplitude, whatever scale the file has, or complex64; NaN (complex: nan+nanj) where the
-    secondary has no data. A numpy array; of a DataArray of xarray a DataArray with the coordinates, the coordinate
-    system and the geotransform of the reference, lazy where the secondary is one of dask
+    (H, W) float32 linear amplitude, whatever scale the file has, calibrated as that which was matched, or complex64;
+    NaN (complex: nan+nanj) where the secondary has no data. A numpy array; of a DataArray of xarray a DataArray with
+    the coordinates, the coordinate system and the geotransform of the reference, lazy where the secondary is of dask
 
     Raises
     ------
@@ -63,7 +64,12 @@ def warp(
             model, secondary, shape, place, like=like, band=band, resampling=resampling,
             attributes={f"featreg_{name}": text for name, text in facts.items()},
         )  # fmt: skip
-    image = as_image(secondary, band=band if isinstance(secondary, str | Path) else None)
+    of_file: dict[str, Any] = {}
+    if isinstance(secondary, str | Path):
+        of_file["band"] = band
+        if known is not None and is_same(known.path, secondary):
+            of_file["calibrate"] = known.calibration
+    image = as_image(secondary, **of_file)
     _check_size(image.shape, registration)
     warped = resample(image, model, shape, resampling=resampling)
     return blanked(warped.pixels, warped.mask)

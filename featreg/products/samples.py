@@ -67,6 +67,9 @@ def encoding_of(source: RasterSource) -> Encoding:
         gain, offset = 1.0, 0.0
     if source.is_complex:
         return Encoding("complex64", None, "complex")
+    if source.calibrate is not None:
+        # Whoever opens a file of sigma0 expects sigma0, not its root.
+        return Encoding("float32", math.nan, "intensity")
     given = source.nodata if source.nodata is not None else own
     nodata = float(given.real) if given is not None else math.nan
     dtype = source.dtype if source.dtype in INTEGERS else "float32"

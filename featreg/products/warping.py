@@ -16,6 +16,7 @@ from featreg._version import __version__
 from featreg.errors import InputError, ParameterError, suggest
 from featreg.interfaces import Model
 from featreg.io.bands import BandLike, listing
+from featreg.io.calibration import check_calibration
 from featreg.io.gdal_errors import quiet
 from featreg.io.opening import open_reader
 from featreg.io.raster_files import is_same
@@ -78,6 +79,7 @@ def warp_file(
     band: BandLike = None,
     scale: str | None = None,
     nodata: float | None = None,
+    calibrate: str | None = None,
     secondary_scale: float | tuple[float, float] | None = None,
     deramp: bool = False,
     coherence: str | Path | None = None,
@@ -100,6 +102,8 @@ def warp_file(
         secondary is the file that was matched, else for all
     scale : what real samples are: "amplitude", "intensity" or "db"; default: as in the result, else told from them
     nodata : value of samples without data; default: the file's own
+    calibrate : "sigma0", "beta0" or "gamma0": the product holds this quantity, of complex samples those whose squared
+        modulus it is; default: as in the result where the secondary is the file that was matched
     secondary_scale : pixels of this file per pixel of the secondary that was matched (one number, or along x and along
         y); default: told from georeferencing where both files have it, else from the sizes
     deramp : estimate the phase ramp of complex samples (TOPS), interpolate without it and put it back
@@ -121,7 +125,7 @@ def warp_file(
         No model, an unreadable file, another footprint, an output that is an input or cannot be written; a STAC item
         without georeferencing.
     ParameterError
-        An unknown resampling, a band that the file lacks, `deramp` or `coherence` without complex samples.
+        An unknown resampling or quantity, a band that the file lacks, `deramp` or `coherence` without complex samples.
     CancelledError
         `cancel` was set.
 
@@ -150,7 +154,11 @@ def warp_file(
             check_item(target, grid.geolocation, grid.shape, grid.path or "the reference", [*inputs, given])
     scale = _recorded_scale(registration, secondary) if scale is None else scale
     band = _recorded_band(registration, secondary) if band is None else band
-    sources = _sources(secondary, band, scale, nodata)
+    calibrate = _recorded_calibration(registration, secondary) if calibrate is None else calibrate
+    if calibrate is not None and scale == "amplitude":
+        scale = None
+    check_calibration(calibrate, scale)
+    sources = _sources(secondary, band, scale, nodata, calibrate)
     wanted = (secondary_scale,) * 2 if isinstance(secondary_scale, int | float) else secondary_scale
     if wanted is not None and len(wanted) != 2:
         raise ParameterError(f"secondary_scale must be one number or two (along x, along y), got {secondary_scale}")
@@ -171,12 +179,16 @@ def warp_file(
         "FEATREG_METHOD": str(registration.provenance.get("method", "")),
         "FEATREG_RESAMPLING": resampling,
     }
+    names: list[str] = []
+    if calibrate is not None:
+        tags["FEATREG_CALIBRATION"] = calibrate
+        names = [" ".join(filter(None, (calibrate, source.head.first.name))) for source in sources]
     first = encodings[0]
     flat = resampling == "nearest" or first.dtype == "complex64"
     good, mean = 0, None
     with replacing(output, inputs=inputs) as target, quiet(), bounded_cache():
         plain = target.with_name("plain.tif")
-        with tiled_tiff(plain, grid, first, len(sources), tags, encodings) as dataset:
+        with tiled_tiff(plain, grid, first, len(sources), tags, encodings, names) as dataset:
             for window, (arrays, count) in runner.run(job.render, grid.shape):
                 dataset.write(arrays, window=rasterio_window(window))
                 good += count
@@ -251,7 +263,9 @@ class _Job:
         return (values if image.is_complex else np.maximum(values, 0)), mask
 
 
-def _sources(secondary: str, band: BandLike, scale: str | None, nodata: float | None) -> list[RasterSource]:
+def _sources(
+    secondary: str, band: BandLike, scale: str | None, nodata: float | None, calibrate: str | None
+) -> list[RasterSource]:
     """The bands to warp: the one that is asked for or meant, else all of one size and kind."""
     reader = open_reader(secondary)
     try:
@@ -260,12 +274,12 @@ def _sources(secondary: str, band: BandLike, scale: str | None, nodata: float | 
         reader.close()
     data = [i for i, known in enumerate(bands) if known.role != "alpha"]
     if band is not None or len(data) < 2 or parse_source(secondary).dataset is not None:
-        return [RasterSource(secondary, scale, nodata, band).checked()]
+        return [RasterSource(secondary, scale, nodata, band, None, calibrate).checked()]
     kinds, sizes = {bands[i].dtype for i in data}, {bands[i].shape for i in data}
     if len(kinds) > 1 or len(sizes) > 1:
         what = "dtypes" if len(kinds) > 1 else "sizes"
         raise InputError(f"{secondary}: its bands are of several {what}; give one band: {listing(bands)}")
-    return [RasterSource(secondary, scale, nodata, i + 1).checked() for i in data]
+    return [RasterSource(secondary, scale, nodata, i + 1, None, calibrate).checked() for i in data]
 
 
 def _recorded_scale(registration: Registration, secondary: str) -> str | None:
@@ -273,6 +287,11 @@ def _recorded_scale(registration: Registration, secondary: str) -> str | None:
     if known is None or known.scale == "complex":
         return None
     return known.scale if is_same(known.path, secondary) else None
+
+
+def _recorded_calibration(registration: Registration, secondary: str) -> str | None:
+    known = registration.secondary
+    return None if known is None or not is_same(known.path, secondary) else known.calibration
 
 
 def _recorded_band(registration: Registration, secondary: str) -> str | None:

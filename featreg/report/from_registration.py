@@ -73,8 +73,9 @@ def _image(role: str, given: Any, known: InputImage | None) -> Callable[[], Imag
         return given
     if known is None or known.path in ("array", "tie points"):
         return partial(_missing, role)
-    scale = None if known.scale == "complex" else known.scale
-    return known.path if scale in (None, "amplitude") else partial(as_image, known.path, scale=scale)
+    if known.calibration is None and known.scale in (None, "complex", "amplitude"):
+        return known.path
+    return partial(as_image, known.path, **known.reading)
 
 
 def _missing(role: str) -> Image:

@@ -72,9 +72,11 @@ def _reader(study: Study, source: Any, band: Any) -> Any:
     function that reads it as it was read for the matching.
     """
     protocol = study.protocol
-    if isinstance(source, Image) or (protocol.nodata is None and protocol.scale is None and band is None):
+    if isinstance(source, Image) or (protocol.nodata, protocol.scale, protocol.calibrate, band) == (None,) * 4:
         return source
-    return partial(as_image, source, nodata=protocol.nodata, scale=protocol.scale, band=band)
+    return partial(
+        as_image, source, nodata=protocol.nodata, scale=protocol.scale, calibrate=protocol.calibrate, band=band
+    )
 
 
 def _entry(study: Study, job: Job, row: Mapping[str, Any], table: Table) -> ReportEntry:

@@ -26,6 +26,7 @@ class InputImage:
     pixel_size : on the ground, where its geolocation tells it
     geolocation : where it lies, as its file says it
     band : what was read of a file of several bands; None where it has one only
+    calibration : "sigma0", "beta0" or "gamma0" where its samples were calibrated to it when they were read, else None
 
     Raises
     ------
@@ -41,6 +42,7 @@ class InputImage:
     pixel_size: PixelSize | None = None
     geolocation: Geolocation | None = None
     band: str | None = None
+    calibration: str | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.path, str):
@@ -49,6 +51,11 @@ class InputImage:
         if height < 1 or width < 1:
             raise InputError(f"the shape of an image must be (H, W) of at least 1 x 1, got {tuple(self.shape)}")
         object.__setattr__(self, "shape", (height, width))
+
+    @property
+    def reading(self) -> dict[str, Any]:
+        """The keywords of `featreg.as_image` with which its file is read again as it was, its band aside."""
+        return {"scale": None if self.scale == "complex" else self.scale, "calibrate": self.calibration}
 
     def to_dict(self) -> dict[str, Any]:
         """Return what a file holds of it: path, width, height, and the rest where known."""
@@ -60,6 +67,7 @@ class InputImage:
             "pixel_size": None if self.pixel_size is None else self.pixel_size._asdict(),
             "geolocation": None if place is None else _known(vars(place)),
             "band": self.band,
+            "calibration": self.calibration,
         }
         return {"path": self.path, "width": self.shape[1], "height": self.shape[0], **_known(more)}
 
@@ -79,6 +87,7 @@ class InputImage:
             None if size is None else PixelSize(**size),
             None if place is None else _geolocation(**place),
             None if values.get("band") is None else str(values["band"]),
+            values.get("calibration"),
         )
 
 

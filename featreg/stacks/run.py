@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 #: Further neighbours that are tried for an image that no pair leads to.
 SECOND_CHANCES = 3
 #: Keywords that say how an image is read.
-READING = ("nodata", "scale", "band")
+READING = ("nodata", "scale", "calibrate", "band")
 #: Keywords that say what runs the blocks of a pair.
 RUNNING = ("block", "executor", "workers", "cancel", "resume")
 

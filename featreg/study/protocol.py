@@ -39,6 +39,7 @@ VALUES: Mapping[str, tuple[Callable[[Any], bool], str]] = {
     "locate": _SWITCH,
     "refine": _SWITCH,
     "scale": _NAME,
+    "calibrate": _NAME,
     "nodata": (_number, "a number"),
     "band": _BAND,
     "reference_band": _BAND,
@@ -70,7 +71,8 @@ class Protocol:
     filters : one chain of filters for all; None leaves each method its own
     model : geometric model; None for each method's own
     locate, refine : measuring the matches again, and refinement, on or off for all; None for each method's own
-    scale, nodata, band, reference_band, secondary_band : what the samples are, as `featreg.match` takes them
+    scale, calibrate, nodata, band, reference_band, secondary_band : what the samples are, as `featreg.match` takes
+        them
     block, dem, height, split : of scenes, as `featreg.match` takes them; a pair's own heights come first
     time_limit : s, of one job in its own process; None for no limit
     timing : measure times in a serial pass
@@ -86,6 +88,7 @@ class Protocol:
     locate: bool | None = None
     refine: bool | None = None
     scale: str | None = None
+    calibrate: str | None = None
     nodata: float | None = None
     band: str | int | None = None
     reference_band: str | int | None = None
@@ -131,7 +134,7 @@ class Protocol:
     def keywords(self) -> dict[str, Any]:
         """The part that decides what is matched, as keywords of `featreg.match`."""
         method = ("n_features", "filters", "model", "locate", "refine")
-        reading = ("scale", "nodata", "band", "reference_band", "secondary_band")
+        reading = ("scale", "calibrate", "nodata", "band", "reference_band", "secondary_band")
         given = {name: getattr(self, name) for name in (*method, *reading, "block", "dem", "height", "split")}
         return {name: list(v) if name == "filters" else v for name, v in given.items() if v is not None}
 

@@ -53,6 +53,7 @@ class Image(ReadOnlyArrays, Shown):
     band : what was read of a file of several bands, as `featreg.io.as_image` takes it; None = its only one
     filled : (H, W) bool, of an image prepared for features the valid pixels that hold no sample of their own but what
         the samples around them say; None = none
+    calibration : "sigma0", "beta0" or "gamma0" where the squares of the amplitude are that quantity; None = not known
 
     Raises
     ------
@@ -73,6 +74,7 @@ class Image(ReadOnlyArrays, Shown):
     scale: str = "amplitude"
     filled: BoolArray | None = None
     band: str | None = None
+    calibration: str | None = None
     _derived: DerivedMaps = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:

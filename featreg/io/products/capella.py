@@ -1,4 +1,4 @@
-"""Capella: the metadata in an SLC's TIFF tag or in the JSON beside it, its geometry as a range-Doppler sensor.
+"""Capella: the metadata in an image's TIFF tag or in the JSON beside it; geometry and calibration.
 
 The JSON is read by the standard library: a sensor needs a dozen of its numbers, for which capella-reader would bring
 pydantic and tifffile.
@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from featreg.errors import InputError
+from featreg.io.calibration import Calibration, constant
 from featreg.io.ellipsoid import geodetic
 from featreg.io.products.vectors import seconds, thinned
 
@@ -20,6 +21,8 @@ from featreg.io.products.vectors import seconds, thinned
 ACCURACY_M = 10.0
 #: Hertz of Doppler centroid that count as none.
 ZERO_HZ = 1e-6
+#: What the radiometry of an image is called -> the quantity.
+RADIOMETRY = {"sigma_nought": "sigma0", "beta_nought": "beta0", "gamma_nought": "gamma0"}
 #: Bytes of a JSON beside an image at most.
 LARGEST = 64 << 20
 
@@ -37,6 +40,34 @@ def metadata_of(path: str | Path, description: str | None) -> str | None:
             text = beside.read_text(encoding="utf-8", errors="replace")
             return text if '"collect"' in text else None
     return None
+
+
+def capella_calibration(text: str, name: str) -> Calibration | None:
+    """Return the calibration that the JSON of a Capella image states; None where it states none.
+
+    Raises
+    ------
+    InputError
+        It is no such JSON; the text names the file.
+
+    Notes
+    -----
+    A sample times ``scale_factor`` is an amplitude of the quantity that ``radiometry`` names: one of the three.
+    """
+    try:
+        image = json.loads(text)["collect"]["image"]
+        quantity = RADIOMETRY.get(str(image.get("radiometry")).lower())
+        factor = image.get("scale_factor")
+        if quantity is None or factor is None:
+            return None
+        value = float(factor)
+        if not 0 < value < float("inf"):
+            raise ValueError(f"a scale_factor of {value}")
+    except (TypeError, ValueError, AttributeError, LookupError) as error:
+        raise InputError(
+            f"{name}: the metadata of Capella state no calibration ({type(error).__name__}: {error})"
+        ) from error
+    return Calibration({quantity: constant(value)}, f"its radiometry is {image['radiometry']}")
 
 
 def sensor_of_capella(text: str, name: str) -> dict[str, Any] | None:

@@ -1,4 +1,4 @@
-"""The sensor that the metadata of a product state, found from its raster file."""
+"""The sensor and the calibration that the metadata of a product state, found from its raster file."""
 
 from __future__ import annotations
 
@@ -9,8 +9,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from featreg.io.products.capella import metadata_of, sensor_of_capella
+from featreg.errors import InputError
+from featreg.io.calibration import Calibration
+from featreg.io.products.capella import capella_calibration, metadata_of, sensor_of_capella
 from featreg.io.products.sentinel1 import LARGEST, annotation_name, sensor_of_annotation
+from featreg.io.products.sentinel1_calibration import calibration_name, sentinel1_calibration
 
 #: A file in an archive, whose name stands in braces where this package gives it to GDAL.
 ARCHIVED = re.compile(r"/vsizip/(?:\{(.+?)\}|(.+?\.zip))/(.+)", re.IGNORECASE)
@@ -46,6 +49,29 @@ def stated_sensor(name: str, tags: Mapping[str, str], shape: tuple[int, int]) ->
         )  # fmt: skip
         return None
     return found
+
+
+def stated_calibration(name: str, tags: Mapping[str, str]) -> Calibration | None:
+    """Return how the samples of a raster file are calibrated; None where no metadata of a product are known of it.
+
+    `name` and `tags` are those of `stated_sensor`.
+
+    Raises
+    ------
+    InputError
+        They are of a product whose calibration is missing or broken.
+    """
+    tables = calibration_name(name)
+    try:
+        if tables is not None:
+            content = _content(tables)
+            if content is None:
+                raise InputError(f"{name}: its calibration, '{tables}', is not there; the product must be complete")
+            return sentinel1_calibration(tables, content)
+        text = metadata_of(name, tags.get("TIFFTAG_IMAGEDESCRIPTION"))
+    except (OSError, zipfile.BadZipFile, RuntimeError) as error:
+        raise InputError(f"{name}: its calibration cannot be read ({error})") from error
+    return None if text is None else capella_calibration(text, name)
 
 
 def _found(name: str, tags: Mapping[str, str]) -> dict[str, Any] | None:
