@@ -64,7 +64,7 @@ class NormalisedFast(Detector):
         at, score = at[rows], score[rows]
         return Features(
             xy=at.astype(np.float64),
-            scale=self.support,  # type: ignore[arg-type]  # one number stands for all rows
+            scale=self.support,  # one number stands for all rows
             angle=orientation(view, at, ORIENTATION_RADIUS),
             score=score.astype(np.float64),
             level=np.zeros(len(at), np.int64),

@@ -93,7 +93,7 @@ class PhaseCongruency(Detector):
             parts.append(
                 Features(
                     xy=self._position(moment, at),
-                    scale=self.support,  # type: ignore[arg-type]  # one number stands for all rows
+                    scale=self.support,  # one number stands for all rows
                     angle=orientation(largest, at, ORIENTATION_RADIUS),
                     score=score[:count].astype(np.float64),
                     level=np.zeros(len(at), np.int64),

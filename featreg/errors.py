@@ -34,7 +34,7 @@ class NoOverlapError(InputError):
 
 
 class NoModelError(InputError, AttributeError):
-    """Something was asked of a model that could not be fitted; the text says why it could not."""
+    """Something was asked of a model that could not be fitted, or that its kind does not have; the text says why."""
 
 
 class ParameterError(FeatregError, ValueError):

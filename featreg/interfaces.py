@@ -10,10 +10,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, ClassVar, Literal, NoReturn, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NoReturn, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from featreg.errors import NoModelError
 from featreg.types import BoolArray, Features, FloatArray, Image, IntArray, Matches
@@ -207,7 +207,7 @@ class Model(ABC):
         """
 
     @abstractmethod
-    def __call__(self, xy: FloatArray) -> FloatArray:
+    def __call__(self, xy: ArrayLike) -> FloatArray:
         """Map (N, 2) reference points to the secondary image."""
 
     @property
@@ -225,6 +225,33 @@ class Model(ABC):
         """The (3, 3) homogeneous matrix, or None where the model has none."""
         return None
 
-    def residuals(self, reference_xy: FloatArray, secondary_xy: FloatArray) -> FloatArray:
+    def residuals(self, reference_xy: ArrayLike, secondary_xy: ArrayLike) -> FloatArray:
         """(M,) distances in pixels between the mapped reference points and the secondary points."""
-        return np.asarray(np.hypot(*(self(reference_xy) - secondary_xy).T))
+        return np.asarray(np.hypot(*(self(reference_xy) - np.asarray(secondary_xy, np.float64)).T))
+
+    def shift_at(self, xy: ArrayLike) -> FloatArray:
+        """Return ``model(xy) - xy`` in pixels for one point (2,) or (N, 2); at the image centre for a rigid one."""
+        at = np.asarray(xy, np.float64)
+        return np.asarray(self(at.reshape(-1, 2)).reshape(at.shape) - at)
+
+    if TYPE_CHECKING:
+        # A property here would become the default of the fields of that name which frozen dataclasses below declare.
+
+        @property
+        def rotation_deg(self) -> float:
+            """Counter-clockwise as seen, of a model that is a matrix; NaN for a reflection. Others raise."""
+
+        @property
+        def scale(self) -> float:
+            """Square root of the magnification of areas, of a model that is a matrix. Others raise."""
+
+    else:
+
+        def __getattr__(self, name: str) -> NoReturn:
+            kind = type(self).__name__
+            if name in ("rotation_deg", "scale"):
+                raise NoModelError(
+                    f"a {kind} has no one '{name}', it differs from place to place: "
+                    f"featreg.geometry.decompose(featreg.geometry.local_linear(model, (x, y))).{name} is that of one"
+                )
+            raise AttributeError(f"'{kind}' object has no attribute '{name}'", name=name, obj=self)

@@ -99,8 +99,8 @@ def test_the_budget_holds_for_features_and_final_points(pair: SimulatedPair, met
 
 def test_the_angle_of_the_model_is_counter_clockwise(pair: SimulatedPair) -> None:
     found = run(pair, model="similarity")
-    assert found.model.rotation_deg == pytest.approx(6.0, abs=0.2)  # type: ignore[union-attr]
-    assert found.model.scale == pytest.approx(1.02, abs=0.003)  # type: ignore[union-attr]
+    assert found.model.rotation_deg == pytest.approx(6.0, abs=0.2)
+    assert found.model.scale == pytest.approx(1.02, abs=0.003)
 
 
 # Determinism

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from featreg.errors import InputError, ParameterError
 from featreg.geolocation.corrected import CorrectedSensor
@@ -163,7 +164,7 @@ class RpcBias(CorrectedModel, metaclass=_Bindable):
         """Reference -> secondary as the sensors have it, without the bias."""
         return Transfer(self.reference, self.secondary, self.heights)
 
-    def __call__(self, xy: FloatArray) -> FloatArray:
+    def __call__(self, xy: ArrayLike) -> FloatArray:
         return self.correction(self.transfer(xy))
 
     @property
@@ -243,7 +244,7 @@ class InverseRpcBias(DerivedModel):
 
     forward: RpcBias
 
-    def __call__(self, xy: FloatArray) -> FloatArray:
+    def __call__(self, xy: ArrayLike) -> FloatArray:
         return self.forward.transfer.inverse(self.forward.correction.inverse(xy))
 
     @property

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from featreg.geolocation.heights import ConstantHeight, Heights
 from featreg.geolocation.sensor import Sensor
@@ -50,7 +50,7 @@ class Transfer(DerivedModel):
     heights: Heights
     instead: ClassVar[str] = "the sensors give it; fit an RpcBias on top of it"
 
-    def __call__(self, xy: FloatArray) -> FloatArray:
+    def __call__(self, xy: ArrayLike) -> FloatArray:
         p = np.asarray(xy, np.float64)
         flat = p.reshape(-1, 2)
         lonlat, heights = on_ground(self.reference, flat, self.heights)

@@ -1,6 +1,6 @@
 """Geometric models reference -> secondary, and how to make, write and read them.
 
-GeometricModel
+Model
 ├── MatrixModel
 │   ├── Translation, Rigid, Similarity     numbers with a meaning
 │   └── Affine, Homography                 a matrix
@@ -10,7 +10,7 @@ GeometricModel
 └── CorrectedModel                         a known map and a correction, `RpcBias` for example
 """
 
-from featreg.geometry.base import GeometricModel, MatrixModel, decompose
+from featreg.geometry.base import MatrixModel, decompose
 from featreg.geometry.cells import dilution, rigid_standard_errors, selection_cut, spread
 from featreg.geometry.convert import as_model, local_linear, model_from_dict, model_from_matrix, model_to_dict
 from featreg.geometry.corrected import CorrectedModel
@@ -32,7 +32,6 @@ from featreg.geometry.uncertainty import (
 __all__ = [
     "Affine",
     "CorrectedModel",
-    "GeometricModel",
     "Homography",
     "InverseModel",
     "MatrixModel",

@@ -124,16 +124,7 @@ def decompose(linear: ArrayLike) -> LinearPart:
     return LinearPart(rotation, math.sqrt(abs(det)), large / small if small > 0 else math.inf, shear)
 
 
-class GeometricModel(Model):
-    """A model given by numbers alone."""
-
-    def shift_at(self, xy: ArrayLike) -> FloatArray:
-        """Return ``model(xy) - xy`` in pixels for one point (2,) or (N, 2); at the image centre for a rigid one."""
-        at = np.asarray(xy, np.float64)
-        return np.asarray(self(at.reshape(-1, 2)).reshape(at.shape) - at)
-
-
-class DerivedModel(GeometricModel):
+class DerivedModel(Model):
     """A model that follows from others and is never fitted by itself; `instead` says what to do."""
 
     minimum: ClassVar[int] = 0
@@ -153,7 +144,7 @@ class DerivedModel(GeometricModel):
         raise InputError(f"{cls.__name__} is not fitted: {cls.instead}")
 
 
-class MatrixModel(GeometricModel):
+class MatrixModel(Model):
     """A model that is a matrix."""
 
     @property
@@ -161,7 +152,7 @@ class MatrixModel(GeometricModel):
     def matrix(self) -> FloatArray:
         """The (3, 3) homogeneous matrix."""
 
-    def __call__(self, xy: FloatArray) -> FloatArray:
+    def __call__(self, xy: ArrayLike) -> FloatArray:
         p = np.asarray(xy, np.float64)
         m = self.matrix
         x, y = p[..., 0], p[..., 1]

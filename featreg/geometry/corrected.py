@@ -6,13 +6,13 @@ from abc import abstractmethod
 from typing import ClassVar, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from featreg.geometry.base import GeometricModel
 from featreg.interfaces import Model
 from featreg.types import FloatArray
 
 
-class CorrectedModel(GeometricModel):
+class CorrectedModel(Model):
     """``correction(known(xy))``, the known map taken from somewhere else (two sensors, for example).
 
     What has to be searched or judged by sampling is the correction alone: hypotheses and standard errors are those of
@@ -37,6 +37,6 @@ class CorrectedModel(GeometricModel):
     def correction(self) -> Model:
         """The correction, in secondary pixels."""
 
-    def residuals(self, reference_xy: FloatArray, secondary_xy: FloatArray) -> FloatArray:
+    def residuals(self, reference_xy: ArrayLike, secondary_xy: ArrayLike) -> FloatArray:
         """(M,) distances in pixels; very large where a reference point cannot be mapped."""
         return np.asarray(np.nan_to_num(super().residuals(reference_xy, secondary_xy), nan=1e9))

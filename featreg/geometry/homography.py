@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from featreg.errors import InputError
 from featreg.geometry.base import FLAT, GeneralMatrixModel, Normalised, coefficient_array, normalise
@@ -83,7 +84,7 @@ class Homography(GeneralMatrixModel):
             return FailedFit("the fit maps the plane onto a line as seen from the origin of the coordinates")
         return cls(found)
 
-    def __call__(self, xy: FloatArray) -> FloatArray:
+    def __call__(self, xy: ArrayLike) -> FloatArray:
         p = np.asarray(xy, np.float64)
         h = self.coefficients
         x, y = p[..., 0], p[..., 1]

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from featreg.errors import InputError
-from featreg.geometry.base import DerivedModel, GeometricModel, coefficient_array, decompose, normalise
+from featreg.geometry.base import DerivedModel, coefficient_array, decompose, normalise
 from featreg.interfaces import FailedFit, Model
 from featreg.registry import register
 from featreg.types import FloatArray
@@ -20,7 +21,7 @@ from featreg.types import FloatArray
 ILL = 1e7
 
 
-class Polynomial(GeometricModel):
+class Polynomial(Model):
     """Polynomial in u = (x - centre_x) / scale and v = (y - centre_y) / scale, with values in secondary pixels.
 
     Subclasses hold `coefficients` (2, terms), `centre` (2,) px and `scale` px; the terms are
@@ -63,7 +64,7 @@ class Polynomial(GeometricModel):
         x, y = n.reference_centre.tolist()
         return cls(coefficients=coefficients, centre=(x, y), scale=n.reference_scale)  # type: ignore[call-arg]  # a field of the classes derived from this one
 
-    def __call__(self, xy: FloatArray) -> FloatArray:
+    def __call__(self, xy: ArrayLike) -> FloatArray:
         p = np.asarray(xy, np.float64)
         u, v = (p[..., 0] - self.centre[0]) / self.scale, (p[..., 1] - self.centre[1]) / self.scale
         out = np.empty_like(p)
@@ -182,7 +183,7 @@ class InverseModel(DerivedModel):
 
     forward: Polynomial
 
-    def __call__(self, xy: FloatArray) -> FloatArray:
+    def __call__(self, xy: ArrayLike) -> FloatArray:
         wanted = np.asarray(xy, np.float64)
         flat = wanted.reshape(-1, 2)
         model = self.forward

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from featreg.errors import InputError
-from featreg.geometry.base import DerivedModel, GeometricModel, coefficient_array, normalise
+from featreg.geometry.base import DerivedModel, coefficient_array, normalise
 from featreg.geometry.matrix import Affine
 from featreg.interfaces import FailedFit, Model
 from featreg.registry import register
@@ -26,7 +27,7 @@ SQUARES, FOLDS = 6, 3
 
 @register("residual-field")
 @dataclass(frozen=True, eq=False)
-class ResidualField(GeometricModel):
+class ResidualField(Model):
     """Affine map plus a smooth residual displacement, a penalised cubic B-spline on a regular grid.
 
     Parameters
@@ -100,7 +101,7 @@ class ResidualField(GeometricModel):
         bound = float(np.hypot(*residual.T).max())
         return cls(plane.matrix[:2], coefficients.T.reshape(2, *shape), frame, bound)
 
-    def __call__(self, xy: FloatArray) -> FloatArray:
+    def __call__(self, xy: ArrayLike) -> FloatArray:
         p = np.asarray(xy, np.float64)
         flat = p.reshape(-1, 2)
         m = self.matrix_rows
@@ -141,7 +142,7 @@ class InverseField(DerivedModel):
 
     forward: ResidualField
 
-    def __call__(self, xy: FloatArray) -> FloatArray:
+    def __call__(self, xy: ArrayLike) -> FloatArray:
         p = np.asarray(xy, np.float64)
         wanted = p.reshape(-1, 2)
         back = Affine(self.forward.matrix_rows).inverse

@@ -136,7 +136,7 @@ class MarkedPoints:
     def save(self) -> None:
         """Write the file, whole or not at all."""
         points, model = self.points, _fit(self.points)
-        matches = Matches(points[:, :2], points[:, 2:], np.nan)  # type: ignore[arg-type]  # one score for all
+        matches = Matches(points[:, :2], points[:, 2:], np.nan)  # one score for all
         offset = np.full((len(points), 2), np.nan) if model is None else model(points[:, :2]) - points[:, 2:]
         columns = dict(zip(COLUMNS, points.T, strict=True)) | {"residual": self._residuals(model)}
         first, second = (ImageInfo(name, shape) for name, shape in zip(self.images, self.shapes, strict=True))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from featreg.errors import InputError
 from featreg.geolocation.rpc_bias import InverseRpcBias
@@ -147,7 +147,7 @@ class OtherGrids(DerivedModel):
     after: FloatArray
     instead: ClassVar[str] = "fit the model it is made of"
 
-    def __call__(self, xy: FloatArray) -> FloatArray:
+    def __call__(self, xy: ArrayLike) -> FloatArray:
         return _through(self.after, self.model(_through(self.before, np.asarray(xy, np.float64))))
 
     @property

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, ClassVar, Self
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from featreg.interfaces import FailedFit, Model
 from featreg.io.window import Window
 from featreg.types import FloatArray
@@ -26,8 +29,8 @@ class WindowModel(Model):
     ) -> Self | FailedFit:
         return FailedFit("a model known beforehand is not fitted")
 
-    def __call__(self, xy: FloatArray) -> FloatArray:
-        return self.model(xy + self.here.origin) - self.there.origin
+    def __call__(self, xy: ArrayLike) -> FloatArray:
+        return self.model(np.asarray(xy, np.float64) + self.here.origin) - self.there.origin
 
     @property
     def inverse(self) -> Model:

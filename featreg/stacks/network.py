@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from featreg.geometry import Affine, Homography, Polynomial3, ResidualField, Rigid, Similarity, Translation
 from featreg.geometry.base import DerivedModel
@@ -259,7 +260,7 @@ class Chain(DerivedModel):
     first: Model
     second: Model
 
-    def __call__(self, xy: FloatArray) -> FloatArray:
+    def __call__(self, xy: ArrayLike) -> FloatArray:
         return self.second(self.first(xy))
 
     @property

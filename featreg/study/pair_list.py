@@ -6,6 +6,7 @@ import csv
 import dataclasses
 import io
 import logging
+import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -54,7 +55,8 @@ def read_pair_list(source: str | Path) -> list[ListedPair]:
     Raises
     ------
     InputError
-        The file cannot be read, a line lacks an image, or two pairs have one name or one output.
+        The file cannot be read, its first line is neither a pair nor titles of these columns, a line lacks an image,
+        or two pairs have one name or one output.
     """
     path = Path(source)
     if path.is_dir():
@@ -98,6 +100,11 @@ def _titles(rows: Sequence[list[str]], path: Path) -> tuple[list[str], list[list
         longest = max(map(len, rows), default=0)
         if longest > len(COLUMNS):
             raise InputError(f"'{path}' has lines of {longest} columns and no titles; the columns are {_list()}")
+        if len(rows) > 1 and _names_no_file(rows[0], path) and not any(_names_no_file(row, path) for row in rows[1:]):
+            raise InputError(
+                f"'{path}': the first line, '{', '.join(rows[0])}', names neither images nor columns; "
+                f"the columns are {_list()}, and a list without titles begins with its first pair"
+            )
         return list(COLUMNS), list(rows)
     for name in COLUMNS[:2]:
         if name not in first:
@@ -108,6 +115,11 @@ def _titles(rows: Sequence[list[str]], path: Path) -> tuple[list[str], list[list
         if name not in COLUMNS:
             logger.warning("%s: the column '%s' is not used; known are %s", path, name, _list())
     return first, list(rows[1:])
+
+
+def _names_no_file(row: Sequence[str], path: Path) -> bool:
+    """Whether all cells are bare words, of which none is there as a file or folder."""
+    return not any(re.search(r"[./\\:]", cell) or os.path.exists(path.parent / cell) for cell in row if cell)
 
 
 def _list() -> str:

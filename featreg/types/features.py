@@ -57,6 +57,21 @@ class Features(ReadOnlyArrays, Shown):
     index: IntArray | None = None
     subpixel: BoolArray | None = None
 
+    if TYPE_CHECKING:
+        # What it is given may be any numbers; what it holds are arrays of one kind.
+        def __init__(
+            self,
+            xy: ArrayLike,
+            scale: ArrayLike,
+            angle: ArrayLike,
+            score: ArrayLike,
+            level: ArrayLike,
+            descriptors: NDArray[np.float32] | NDArray[np.uint8] | None = None,
+            norm: str = "l2",
+            index: ArrayLike | None = None,
+            subpixel: ArrayLike | None = None,
+        ) -> None: ...
+
     def __post_init__(self) -> None:
         put = object.__setattr__
         put(self, "xy", points(self.xy, "Features.xy"))

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from featreg.errors import InputError
 from featreg.runtime.optional import import_pandas
@@ -35,6 +35,19 @@ class Matches(ReadOnlyArrays, Shown):
     origin: IntArray = -1  # type: ignore[assignment]  # one number stands for all rows until it is checked
     rotation: FloatArray | None = None
     scale_ratio: FloatArray | None = None
+
+    if TYPE_CHECKING:
+        # What it is given may be any numbers; what it holds are arrays of one kind.
+        def __init__(
+            self,
+            reference_xy: ArrayLike,
+            secondary_xy: ArrayLike,
+            score: ArrayLike,
+            covariance: ArrayLike | None = None,
+            origin: ArrayLike = -1,
+            rotation: ArrayLike | None = None,
+            scale_ratio: ArrayLike | None = None,
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         put = object.__setattr__

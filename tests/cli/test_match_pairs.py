@@ -153,6 +153,7 @@ def test_pictures_of_a_list(run: Run, folder: Path, tmp_path: Path) -> None:
             ["picture", "a.png' of pair a would replace"],
         ),
         ("reference,secondary\nport, old/a.tif,b.tif\n", [], ["pair 1 has 3 cells for 2 columns"]),
+        ("name,master,slave\nport,a.tif,b.tif\n", [], ["'name, master, slave', names neither", "reference, secondary"]),
     ],
 )
 def test_a_list_that_cannot_be_used_is_one_line(
@@ -198,6 +199,18 @@ def test_names_with_commas_stand_in_quotes_also_after_a_space(tmp_path: Path) ->
     (tmp_path / "l.csv").write_bytes('\ufeffReference, SECONDARY ,\r\na.tif, "b, ü.tif",\r\n\r\n# c\r\n'.encode())
     (pair,) = read_pair_list(tmp_path / "l.csv")
     assert (pair.reference, pair.secondary) == (f"{tmp_path}/a.tif", f"{tmp_path}/b, ü.tif")
+
+
+def test_a_first_line_of_words_is_a_pair_where_the_words_can_be_images(tmp_path: Path) -> None:
+    (tmp_path / "l.csv").write_text("before,after\na.tif,b.tif\n")
+    with pytest.raises(InputError, match="'before, after', names neither images nor columns"):
+        read_pair_list(tmp_path / "l.csv")
+    for text in ("before,after\nmarch,may\n", "before,after\n"):  # folders of products, whether they are there or not
+        (tmp_path / "l.csv").write_text(text)
+        assert read_pair_list(tmp_path / "l.csv")[0].reference == f"{tmp_path}/before"
+    (tmp_path / "before").mkdir()
+    (tmp_path / "l.csv").write_text("before,after\na.tif,b.tif\n")
+    assert len(read_pair_list(tmp_path / "l.csv")) == 2
 
 
 def test_paths_count_from_the_list_and_names_differ(tmp_path: Path) -> None:

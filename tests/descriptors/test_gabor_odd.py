@@ -156,7 +156,7 @@ def test_filters_hold_means() -> None:
 
 def at(xy: Any, scale: float = 20.0, angle: float = 0.0) -> Features:
     xy = np.asarray(xy, np.float64)
-    return Features(xy, scale, angle, np.ones(len(xy)), np.zeros(len(xy), np.int64))  # type: ignore[arg-type]
+    return Features(xy, scale, angle, np.ones(len(xy)), np.zeros(len(xy), np.int64))
 
 
 def describe(picture: Image, features: Features, **parameters: Any) -> NDArray[np.float32]:

@@ -28,7 +28,7 @@ def describe(picture: Image, features: Features, **parameters: Any) -> Features:
 
 def at(xy: Any, angle: Any = 0.0) -> Features:
     xy = np.asarray(xy, np.float64)
-    return Features(xy, 20.0, angle, np.ones(len(xy)), np.zeros(len(xy), np.int64))  # type: ignore[arg-type]
+    return Features(xy, 20.0, angle, np.ones(len(xy)), np.zeros(len(xy), np.int64))
 
 
 def alike(a: Features, b: Features) -> NDArray[np.float64]:

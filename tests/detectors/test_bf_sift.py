@@ -35,7 +35,7 @@ def detect(picture: Image, **parameters: Any) -> Features:
 
 
 def at(xy: NDArray[np.float64], scale: float, angle: float = 0.4) -> Features:
-    return Features(xy, scale, angle, np.ones(len(xy)), np.zeros(len(xy), np.int64))  # type: ignore[arg-type]
+    return Features(xy, scale, angle, np.ones(len(xy)), np.zeros(len(xy), np.int64))
 
 
 def describe(picture: Image, features: Features, **parameters: Any) -> Features:

@@ -47,7 +47,7 @@ def describe(picture: Image, features: Features, **parameters: Any) -> NDArray[n
 
 def at(xy: Any, scale: float = 20.0, angle: Any = 0.0) -> Features:
     xy = np.asarray(xy, np.float64)
-    return Features(xy, scale, angle, np.ones(len(xy)), np.zeros(len(xy), np.int64))  # type: ignore[arg-type]
+    return Features(xy, scale, angle, np.ones(len(xy)), np.zeros(len(xy), np.int64))
 
 
 # Histograms

@@ -428,7 +428,7 @@ def test_fsc_draws_from_the_confident_ones() -> None:
 
 def test_fsc_with_scores_that_say_nothing_draws_from_all() -> None:
     reference, secondary, good = mixed(MODELS[2], 0.4)
-    kept = create("filter", "fsc").keep(Matches(reference, secondary, 1.0), context(Similarity))  # type: ignore[arg-type]
+    kept = create("filter", "fsc").keep(Matches(reference, secondary, 1.0), context(Similarity))
     np.testing.assert_array_equal(
         kept, fit_consensus(Similarity, reference, secondary, threshold=3.0, rng=np.random.default_rng(0))[1]
     )

@@ -35,7 +35,7 @@ class Affine(Model):
     def from_estimate(cls, reference_xy: FloatArray, secondary_xy: FloatArray, weights: Any = None) -> Any:
         return FailedFit("not fitted here")
 
-    def __call__(self, xy: FloatArray) -> FloatArray:
+    def __call__(self, xy: Any) -> FloatArray:
         return np.asarray(xy @ self.rows[:, :2].T + self.rows[:, 2])
 
     @property

@@ -515,6 +515,15 @@ def test_print_holds_every_pair_and_whole_tables(visit: Callable[..., Visit], tm
     seen = visit()
     page = seen.page
     seen.viewer("Swipe")
+    # A canvas that the browser cannot read out is said, and leaves the viewer and the button as they were.
+    page.evaluate(
+        "() => { const kind = HTMLCanvasElement.prototype, own = kind.toDataURL;"
+        " kind.toDataURL = () => { kind.toDataURL = own; throw new Error('no memory'); }; }"
+    )
+    page.get_by_role("button", name="Print every pair").click()
+    page.get_by_text("The pictures could not be taken: no memory").wait_for(timeout=60_000)
+    assert page.get_by_role("button", name="Print every pair").is_enabled()
+    assert page.get_by_role("radio", name="Swipe").is_checked()
     page.evaluate("void (window.print = () => { document.body.dataset.asked = 'yes'; })")
     page.get_by_role("button", name="Print every pair").click()
     page.wait_for_selector("body[data-asked]", timeout=60_000)

@@ -225,7 +225,7 @@ def test_features_hold_finite_numbers(name: str) -> None:
 
 
 def test_one_number_stands_for_all_rows() -> None:
-    made = Features(np.ones((3, 2)), 2.0, 0.5, 1.0, 0)  # type: ignore[arg-type]
+    made = Features(np.ones((3, 2)), 2.0, 0.5, 1.0, 0)
     assert made.scale.tolist() == [2.0] * 3
     assert made.level.dtype == np.int64
 
@@ -233,7 +233,7 @@ def test_one_number_stands_for_all_rows() -> None:
 @pytest.mark.parametrize("count", [2, 5, 9])
 def test_best_gives_the_highest_scores_best_first(count: int) -> None:
     score = np.array([1.0, 3.0, 2.0, 3.0, 0.0])
-    made = Features(np.arange(10).reshape(5, 2), np.ones(5), np.zeros(5), score, np.zeros(5))  # type: ignore[arg-type]
+    made = Features(np.arange(10).reshape(5, 2), np.ones(5), np.zeros(5), score, np.zeros(5))
     found = made.best(count)
     assert found.score.tolist() == sorted(score, reverse=True)[:count]
     if count >= 2:
