@@ -76,7 +76,7 @@ def describe(
     -------
     A dict fit for JSON: ``file``, ``format``, ``bands`` [{name, dtype, width, height, role, states}], ``read`` (which
     band, None where one must be named), ``size`` {width, height}, ``samples`` {dtype, scale, told_by}, ``calibration``
-    {possible, applied, note}, ``looks`` (the
+    {possible, applied, note}, ``phase_ramp`` {kind, bursts, lines, cycles_per_line, note}, ``looks`` (the
     independent looks that the most even ground shows), ``without_data`` (share of pixels), ``place`` {kind,
     accuracy_px, pixel_x, pixel_y, unit, crs, centre_lon, centre_lat, note}, ``will`` (what a match does with it).
 
@@ -117,6 +117,7 @@ def describe(
         "size": {"width": source.shape[1], "height": source.shape[0]},
         "samples": {"dtype": source.dtype, "scale": source.known_scale, "told_by": told},
         "calibration": _calibration(file, head.choice.bands[0], calibrate),
+        "phase_ramp": _phase_ramp(file, head.choice.bands[0], source.shape[1]) if source.is_complex else None,
         "looks": looks,
         "without_data": round(1.0 - float(mask.mean()), 4) if mask.size else None,
         "place": _place(source),
@@ -140,6 +141,32 @@ def _calibration(file: str, band: int, applied: str | None) -> dict[str, Any] | 
     if known is None:
         return None
     return {"possible": list(known.factors), "applied": applied, "note": "thermal noise is left in"}
+
+
+def _phase_ramp(file: str, band: int, width: int) -> dict[str, Any] | None:
+    """What a product states of the phase of its samples; None where it states nothing."""
+    from featreg.errors import InputError
+    from featreg.io.opening import open_reader
+    from featreg.io.products.sentinel1_tops import tops_of
+    from featreg.products.tops_phase import TopsPhase
+
+    reader = open_reader(file)
+    try:
+        terms = tops_of(reader, band)
+    except InputError as error:
+        return {"kind": "unknown", "note": str(error).removeprefix(f"{file}: ")}
+    finally:
+        reader.close()
+    if terms is None:
+        return None
+    found = TopsPhase(terms)
+    return {
+        "kind": "TOPS",
+        "bursts": found.bursts,
+        "lines": terms.lines,
+        "cycles_per_line": round(found.steepest(width), 2),
+        "note": "warp needs --deramp",
+    }
 
 
 def _sampled(source: RasterSource) -> tuple[FloatArray, BoolArray]:

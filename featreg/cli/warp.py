@@ -74,7 +74,11 @@ def warp(
         ),
     ] = None,
     deramp: Annotated[
-        bool, typer.Option("--deramp", help="Interpolate complex samples without their phase ramp (TOPS).")
+        bool,
+        typer.Option(
+            "--deramp",
+            help="Interpolate complex samples without their phase ramp: TOPS by its annotation, else as they show it.",
+        ),
     ] = False,
     coherence: Annotated[
         str | None,
@@ -168,6 +172,8 @@ def warp(
 
 
 def _summary(product: Product, output: str, coherence: str | None) -> list[str]:
+    from featreg.products.tops_phase import TopsPhase
+
     height, width = product.shape
     bands = "" if len(product.bands) == 1 else f"{len(product.bands)} bands, "
     place = "georeferenced as the reference" if product.georeferenced else "without georeferencing"
@@ -176,7 +182,9 @@ def _summary(product: Product, output: str, coherence: str | None) -> list[str]:
         f"written: {output}, {bands}{width} x {height} pixels, {product.dtype}, {place}{blank}, "
         f"{100 * product.valid:.1f} % of the reference covered"
     ]
-    if product.ramp is not None:
+    if isinstance(product.ramp, TopsPhase):
+        lines.append(f"phase ramp: that of {product.ramp.bursts} TOPS bursts, as the annotation states it")
+    elif product.ramp is not None:
         x, y = (f"{v:.2f}" for v in product.ramp.concentration)
         lines.append(f"phase ramp: agrees with the samples by {x} along x, {y} along y (1 = wholly)")
     if coherence is not None and product.coherence is not None:

@@ -16,7 +16,8 @@ from featreg.io.bands import COLOURS, luminance
 from featreg.io.calibration import Calibration
 from featreg.io.gdal_drivers import BY_NAME
 from featreg.io.gdal_errors import GDAL_OPTIONS, decoding, quiet, reason
-from featreg.io.products.stated import stated_calibration, stated_sensor
+from featreg.io.products.sentinel1_tops import TopsTerms
+from featreg.io.products.stated import stated_calibration, stated_sensor, stated_tops
 from featreg.io.reader import Band, Raster
 from featreg.io.rpc_file import rpc_beside
 from featreg.io.scales import scale_in_words
@@ -138,6 +139,10 @@ class GdalReader:
                 "GAMMA) in place of the product, and leave calibrate out"
             )
         return self._calibration
+
+    def tops(self, band: int) -> TopsTerms | None:
+        """What the annotation of a Sentinel-1 measurement states, the same for all its bands."""
+        return stated_tops(self.dataset.name, (self.dataset.height, self.dataset.width))
 
     @cached_property
     def _calibration(self) -> Calibration | None:

@@ -21,6 +21,7 @@ from featreg.io.calibration import Calibration, calibration_of
 from featreg.io.gdal_drivers import DRIVERS, driver_by_content
 from featreg.io.gdal_errors import decoding
 from featreg.io.gdal_reader import GdalReader, within_archive, within_folder
+from featreg.io.products.sentinel1_tops import TopsTerms, tops_of
 from featreg.io.reader import Band, Raster, Reader
 from featreg.io.window import Window
 from featreg.io.xml_text import DoctypeError, root_of
@@ -287,6 +288,9 @@ class JoinedReader:
 
     def calibration(self, band: int) -> Calibration | None:
         return calibration_of(*self._of[band])
+
+    def tops(self, band: int) -> TopsTerms | None:
+        return tops_of(*self._of[band])
 
     def close(self) -> None:
         for close in self._close:

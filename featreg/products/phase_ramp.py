@@ -60,13 +60,17 @@ class PhaseRamp:
 
     def factor(self, x: ArrayLike, y: ArrayLike, sign: int) -> NDArray[np.complex64]:
         """Return exp(j sign phase): sign -1 removes the ramp, +1 puts it back."""
-        phase = self.phase(x, y)
-        # Reduced in float64 first: a float32 phase of thousands of radians is worth nothing.
-        turns = (phase * (sign / (2 * np.pi))).astype(np.float64)
-        angle = (2 * np.pi * (turns - np.rint(turns))).astype(np.float32)
-        out = np.empty(angle.shape, np.complex64)
-        out.real, out.imag = np.cos(angle), np.sin(angle)
-        return out
+        return phasor(self.phase(x, y), sign)
+
+
+def phasor(phase: FloatArray, sign: int) -> NDArray[np.complex64]:
+    """Return exp(j sign phase) of radians."""
+    # Reduced in float64 first: a float32 phase of thousands of radians is worth nothing.
+    turns = (phase * (sign / (2 * np.pi))).astype(np.float64)
+    angle = (2 * np.pi * (turns - np.rint(turns))).astype(np.float32)
+    out = np.empty(angle.shape, np.complex64)
+    out.real, out.imag = np.cos(angle), np.sin(angle)
+    return out
 
 
 def estimate_phase_ramp(read: Read, shape: tuple[int, int], *, strip: int = 1024) -> PhaseRamp:

@@ -5,6 +5,7 @@ Windows go in order into a plain tiled TIFF, which is then copied to a cloud-opt
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from featreg.io.bands import BandLike, listing
 from featreg.io.calibration import check_calibration
 from featreg.io.gdal_errors import quiet
 from featreg.io.opening import open_reader
+from featreg.io.products.sentinel1_tops import tops_of
 from featreg.io.raster_files import is_same
 from featreg.io.raster_source import RasterSource, Window
 from featreg.io.source_names import parse_source
@@ -32,12 +34,15 @@ from featreg.products.phase_ramp import PhaseRamp, estimate_phase_ramp
 from featreg.products.resample import TAPS, Support, support_box
 from featreg.products.samples import Encoding, encoding_of
 from featreg.products.stac import SampleKind, acquired, check_item, write_item
+from featreg.products.tops_phase import TopsPhase
 from featreg.results.registration import Registration
 from featreg.runtime.watching import Canceller, Progress
 from featreg.types import BoolArray
 
 #: Most pixels of the secondary that one output window reads.
 MOST_READ = 3 << 20
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -52,7 +57,8 @@ class Product:
     bands : numbers of the secondary's bands it holds, in order
     georeferenced : whether it has the reference's georeferencing
     valid : share of pixels that are data in the first band
-    ramp : the phase ramp that was taken out for the interpolation, if asked for
+    ramp : the phase ramp that was taken out for the interpolation, if asked for: as the annotation of a TOPS image
+        states it, else as its samples show it
     coherence : mean coherence with the reference over the scene, if asked for
     items : STAC items that were written beside the product and its coherence, if asked for
     """
@@ -64,7 +70,7 @@ class Product:
     bands: tuple[int, ...]
     georeferenced: bool
     valid: float
-    ramp: PhaseRamp | None = None
+    ramp: PhaseRamp | TopsPhase | None = None
     coherence: float | None = None
     items: tuple[Path, ...] = ()
 
@@ -106,7 +112,9 @@ def warp_file(
         modulus it is; default: as in the result where the secondary is the file that was matched
     secondary_scale : pixels of this file per pixel of the secondary that was matched (one number, or along x and along
         y); default: told from georeferencing where both files have it, else from the sizes
-    deramp : estimate the phase ramp of complex samples (TOPS), interpolate without it and put it back
+    deramp : interpolate complex samples without their phase ramp and put it back: that of a Sentinel-1 TOPS image, all
+        its bursts, by its annotation where that is there; else one is estimated from the samples, which a single smooth
+        ramp must explain
     coherence : GeoTIFF to write the coherence with the reference to; both images must be complex
     coherence_window : of `featreg.coherence`
     stac : when the secondary was acquired (ISO 8601, UTC unless it names a zone; START/END for an interval): write a
@@ -169,6 +177,12 @@ def warp_file(
         raise ParameterError(f"{secondary}: has {len(sources)} bands, the coherence is that of one; give its number")
     partner = None if coherence is None else _partner(grid, registration)
     ramp = _ramp(sources[0]) if deramp else None
+    if not deramp and resampling != "nearest" and sources[0].is_complex and _stated_ramp(sources[0]) is not None:
+        logger.warning(
+            "%s: is a TOPS image, whose phase ramp no interpolator carries: its phase will be wrong without deramp "
+            "(--deramp)",
+            secondary,
+        )
     encodings = [encoding_of(source) for source in sources]
     encodings = [replace(e, dtype=encodings[0].dtype, nodata=encodings[0].nodata) for e in encodings]
     job = _Job(tuple(sources), tuple(encodings), model, resampling, ramp)
@@ -179,6 +193,8 @@ def warp_file(
         "FEATREG_METHOD": str(registration.provenance.get("method", "")),
         "FEATREG_RESAMPLING": resampling,
     }
+    if ramp is not None:
+        tags["FEATREG_DERAMP"] = "annotation" if isinstance(ramp, TopsPhase) else "samples"
     names: list[str] = []
     if calibrate is not None:
         tags["FEATREG_CALIBRATION"] = calibrate
@@ -224,7 +240,7 @@ class _Job:
     encodings: tuple[Encoding, ...]
     model: Model
     resampling: str
-    ramp: PhaseRamp | None
+    ramp: PhaseRamp | TopsPhase | None
 
     def render(self, window: Window) -> tuple[NDArray[Any], int]:
         """Return the numbers (bands, h, w) of a window and how many pixels of its first band are data."""
@@ -258,6 +274,10 @@ class _Job:
             x, y = np.arange(box.x, box.x + box.width), np.arange(box.y, box.y + box.height)
             pixels = pixels * self.ramp.factor(x, y[:, None], -1)
         values, mask = Support(pixels, image.mask, self.resampling).sample(lattice.moved(-box.x, -box.y))
+        if isinstance(self.ramp, TopsPhase):
+            # A sample that rests on two bursts is made of two views with different phases.
+            mask = mask & self.ramp.whole(lattice.positions()[1], TAPS[self.resampling] // 2)
+            values = np.where(mask, values, np.complex64(0))
         if self.ramp is not None:
             values = values * np.where(mask, self.ramp.factor(*lattice.positions(), 1), 0)
         return (values if image.is_complex else np.maximum(values, 0)), mask
@@ -313,7 +333,22 @@ def _partner(grid: Grid, registration: Registration) -> RasterSource:
     return source
 
 
-def _ramp(source: RasterSource) -> PhaseRamp:
+def _stated_ramp(source: RasterSource) -> TopsPhase | None:
+    """The phase that the product of a source states; None where it states none."""
+    choice = source.head.choice
+    reader = open_reader(source.path)
+    try:
+        terms = tops_of(reader, choice.bands[0]) if choice.how == "one" else None
+    finally:
+        reader.close()
+    return None if terms is None else TopsPhase(terms)
+
+
+def _ramp(source: RasterSource) -> PhaseRamp | TopsPhase:
+    stated = _stated_ramp(source)
+    if stated is not None:
+        return stated
+
     def read(x: int, y: int, width: int, height: int) -> tuple[NDArray[Any], BoolArray]:
         image = source.read(Window(x, y, width, height))
         return image.pixels, image.mask

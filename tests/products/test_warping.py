@@ -325,7 +325,7 @@ def test_deramping_keeps_the_coherence_of_a_chirp(
     without, with_it, found = got[False].coherence, got[True].coherence, got[True].ramp
     assert without is not None
     assert with_it is not None
-    assert found is not None
+    assert isinstance(found, PhaseRamp)
     assert without < 0.97
     assert with_it > 0.995
     assert min(found.concentration) > 0.95

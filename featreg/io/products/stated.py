@@ -1,4 +1,4 @@
-"""The sensor and the calibration that the metadata of a product state, found from its raster file."""
+"""What the metadata of a product state, found from its raster file: sensor, calibration, phase."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from featreg.io.calibration import Calibration
 from featreg.io.products.capella import capella_calibration, metadata_of, sensor_of_capella
 from featreg.io.products.sentinel1 import LARGEST, annotation_name, sensor_of_annotation
 from featreg.io.products.sentinel1_calibration import calibration_name, sentinel1_calibration
+from featreg.io.products.sentinel1_tops import TopsTerms, tops_terms
 
 #: A file in an archive, whose name stands in braces where this package gives it to GDAL.
 ARCHIVED = re.compile(r"/vsizip/(?:\{(.+?)\}|(.+?\.zip))/(.+)", re.IGNORECASE)
@@ -72,6 +73,22 @@ def stated_calibration(name: str, tags: Mapping[str, str]) -> Calibration | None
     except (OSError, zipfile.BadZipFile, RuntimeError) as error:
         raise InputError(f"{name}: its calibration cannot be read ({error})") from error
     return None if text is None else capella_calibration(text, name)
+
+
+def stated_tops(name: str, shape: tuple[int, int]) -> TopsTerms | None:
+    """Return what a product states of the phase of a raster file of (H, W); None of what is no TOPS image.
+
+    Raises
+    ------
+    InputError
+        Its annotation is broken.
+    """
+    annotation = annotation_name(name)
+    try:
+        content = None if annotation is None else _content(annotation)
+    except (OSError, zipfile.BadZipFile, RuntimeError) as error:
+        raise InputError(f"{name}: its annotation cannot be read ({error})") from error
+    return None if annotation is None or content is None else tops_terms(annotation, content, shape)
 
 
 def _found(name: str, tags: Mapping[str, str]) -> dict[str, Any] | None:
