@@ -32,6 +32,8 @@ from featreg.runtime.files import write_atomic
 
 logger = logging.getLogger(__name__)
 
+#: What was done to the objects that are kept; another name, and they are made again.
+PASSES = "loops"
 #: Offsets in bytes of the fields of an array of numpy: its data, extents and strides.
 DATA, EXTENTS, STRIDES = 16, 32, 40
 #: Of a call whose arguments are of another kind.
@@ -269,7 +271,7 @@ class Machine:
     def address(self, symbol: str, packed: bytes) -> int | None:
         """Where the code of a symbol lies in memory; None where it cannot be made."""
         version = ".".join(map(str, self.llvm.llvm_version_info))
-        told = "\n".join((version, *self.processor, symbol)).encode() + packed
+        told = "\n".join((version, *self.processor, PASSES, symbol)).encode() + packed
         name = f"{symbol[-24:]}-{hashlib.sha256(told).hexdigest()[:16]}.o"
         kept = _kept(name)
         if kept is None:
@@ -288,7 +290,9 @@ class Machine:
         llvm, target = self.llvm, self.target()
         module = llvm.parse_bitcode(code)
         options = llvm.create_pipeline_tuning_options(speed_level=3)
-        options.loop_vectorization = options.slp_vectorization = True
+        # Of what stands side by side without a loop, numba makes no vectors, and is right: rows that advance together
+        # would be gathered into one and taken apart again.
+        options.loop_vectorization, options.slp_vectorization = True, False
         builder = llvm.create_pass_builder(target, options)
         builder.getModulePassManager().run(module, builder)
         return bytes(target.emit_object(module))

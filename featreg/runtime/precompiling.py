@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import re
 from collections.abc import Callable, Iterator
+from graphlib import CycleError, TopologicalSorter
 from typing import Any
 
 import llvmlite.binding as llvm
@@ -30,6 +32,10 @@ C_LIBRARY = {
 }  # fmt: skip
 C_LIBRARY |= {f"{name}f" for name in C_LIBRARY}
 _NUMBERS = {"int": types.int64, "float": types.float64, "bool": types.boolean, "float32": types.float32}
+#: How numba begins the names of this package's kernels.
+OWN = "_ZN7featreg"
+#: A block's label in LLVM's text, and where a branch goes.
+_LABEL, _TARGET = re.compile(r'("[^"]+"|[\w.$-]+):'), re.compile(r'label %("[^"]+"|[\w.$-]+)')
 # numba's record of an allocation (references, destructor, what it is told, data, size), by the C library.
 _MEMORY = """
 declare noalias ptr @malloc(i64)
@@ -110,6 +116,7 @@ def translated(function: Callable[..., Any], dispatcher: Any, key: tuple[str, ..
     for thing in (*final.functions, *final.global_variables):
         if not thing.is_declaration and thing.name != symbol:
             thing.linkage = "internal"
+    _keep_loops_apart(final)
     _prune(final)
     needed = {f.name for f in final.functions if f.is_declaration and not f.name.startswith("llvm.")}
     needed |= {g.name for g in final.global_variables if g.is_declaration}
@@ -138,6 +145,32 @@ def _without_optimisation() -> Iterator[None]:
         yield
     finally:
         kind._optimize_final_module = before
+
+
+def _keep_loops_apart(module: Any) -> None:
+    """Leave helpers of kernels that hold loops functions of their own when all else is inlined.
+
+    Once a loop is part of a larger one, LLVM no longer proves that what it reads and writes does not overlap, and does
+    not vectorise it.
+    """
+    for function in module.functions:
+        if function.linkage.name == "internal" and function.name.startswith(OWN) and _has_loop(function):
+            function.add_function_attribute("noinline")
+
+
+def _has_loop(function: Any) -> bool:
+    """Whether its blocks go round in a circle."""
+    leads_to: dict[str, set[str]] = {}
+    block = ""
+    for line in str(function).splitlines():
+        if label := _LABEL.match(line):
+            block = label[1]
+        leads_to.setdefault(block, set()).update(_TARGET.findall(line))
+    try:
+        TopologicalSorter(leads_to).prepare()
+    except CycleError:
+        return True
+    return False
 
 
 def _prune(module: Any) -> None:
