@@ -233,6 +233,7 @@ KINDS = {
     "GcpSensor": "ground control points",
     "RpcSensor": "rational polynomial coefficients",
     "SicdSensor": "projection of the SICD",
+    "SiddSensor": "grid of the SIDD",
     "RangeDopplerSensor": "orbit and timing (range-Doppler)",
 }
 

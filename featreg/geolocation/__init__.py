@@ -2,6 +2,7 @@
 
 Sensor
 ├── SicdSensor            the image projections of a SICD
+├── SiddSensor            the image grid of a SIDD
 ├── RangeDopplerSensor    state vectors of an orbit and the times of the pixels
 ├── RpcSensor             rational polynomial coefficients
 ├── GeotransformSensor    affine grid in a map projection
@@ -22,6 +23,7 @@ from featreg.geolocation.rpc_bias import RpcBias
 from featreg.geolocation.sensor import Sensor
 from featreg.geolocation.sensors import ground_level, sensor_from_dict, sensor_of
 from featreg.geolocation.sicd import SicdSensor
+from featreg.geolocation.sidd import SiddSensor
 from featreg.geolocation.transfer import Transfer
 
 __all__ = [
@@ -37,6 +39,7 @@ __all__ = [
     "RpcSensor",
     "Sensor",
     "SicdSensor",
+    "SiddSensor",
     "Transfer",
     "find_overlap",
     "ground_level",

@@ -13,6 +13,7 @@ from featreg.geolocation.range_doppler import RangeDopplerSensor
 from featreg.geolocation.rpc import RpcSensor
 from featreg.geolocation.sensor import Sensor
 from featreg.geolocation.sicd import SicdSensor
+from featreg.geolocation.sidd import SiddSensor
 from featreg.types import Geolocation
 
 #: Whence the height of the ground comes where nobody states it.
@@ -20,6 +21,7 @@ STATED: Mapping[type[Sensor], str] = {
     RpcSensor: "height offset of the RPC",
     GcpSensor: "mean height of the ground control points",
     SicdSensor: "scene centre point of the SICD",
+    SiddSensor: "surface of the SIDD",
 }
 
 
@@ -92,6 +94,8 @@ def sensor_from_dict(values: Mapping[str, Any]) -> Sensor:
             return CorrectedSensor(sensor_from_dict(given["sensor"]), given["bias"])
         if kind == "sicd":
             return SicdSensor(**given)
+        if kind == "sidd":
+            return SiddSensor(**given)
         if kind == "range-doppler":
             return RangeDopplerSensor(**given)
     except InputError:
@@ -99,5 +103,6 @@ def sensor_from_dict(values: Mapping[str, Any]) -> Sensor:
     except (TypeError, LookupError, ValueError, ArithmeticError) as error:
         raise InputError(f"no sensor of type '{kind}' has the values {sorted(given)}: {error}") from error
     raise InputError(
-        f"a sensor's type must be 'sicd', 'range-doppler', 'rpc', 'geotransform', 'gcps' or 'corrected', got {kind!r}"
+        f"a sensor's type must be 'sicd', 'sidd', 'range-doppler', 'rpc', 'geotransform', 'gcps' or 'corrected', got "
+        f"{kind!r}"
     )

@@ -19,6 +19,7 @@ from featreg.io.hdf5 import is_classic_netcdf, is_hdf5, open_classic_netcdf, ope
 from featreg.io.product_folders import LEADING, MANIFEST, FolderTree, ZipTree, open_member, open_product, open_safe
 from featreg.io.reader import Raster, Reader
 from featreg.io.sicd import SicdReader, standard_of
+from featreg.io.sidd import SiddReader
 from featreg.io.source_names import SourceName, check_file, check_utf8, parse_source
 from featreg.io.vrt import check_vrt, is_vrt
 
@@ -110,9 +111,7 @@ def _open_file(name: SourceName, head: bytes) -> Reader:
         if standard == "SICD":
             return SicdReader(path, version)
         if standard == "SIDD":
-            logger.info(
-                "%s: is a SIDD of version %s; its pixels are read, its measurement metadata are not", path, version
-            )
+            return within_folder(path, SiddReader(path))
     if driver is not None:
         return within_folder(path, GdalReader(str(path.absolute()), [driver.name], str(path)))
     if path.suffix.lower() == ".mat":

@@ -72,7 +72,7 @@ class SicdReader:
         self.files: Sequence[str] = [str(path)]
         self._file = path.open("rb")
         try:
-            with decoding(path, "SICD"), _silent():
+            with decoding(path, "SICD"), silent():
                 self._reader = self._sicd.NitfReader(self._file)
                 self.tree = self._reader.metadata.xmltree
                 size = [int(self.tree.findtext(f"{{*}}ImageData/{{*}}{name}")) for name in ("NumRows", "NumCols")]
@@ -98,7 +98,7 @@ class SicdReader:
         """Samples (rows, columns) as complex64, of any of the three pixel types."""
         height, width = self.bands[0].shape
         w = window or Window(0, 0, width, height)
-        with decoding(self.path, "SICD"), _silent():
+        with decoding(self.path, "SICD"), silent():
             raw = self._reader.read_sub_image(w.y, w.x, w.y + w.height, w.x + w.width)[0]
             samples = _samples(raw, self._lookup)
         return Raster(samples, "complex64")
@@ -107,7 +107,7 @@ class SicdReader:
         """The SICD's own projection as a sensor, and ground control points from it at the height of the scene centre
         point, longitude and latitude on WGS84; None where it does not converge.
         """
-        with decoding(self.path, "SICD"), _silent():
+        with decoding(self.path, "SICD"), silent():
             return _geolocation(self._sicd, self.tree, self.bands[0].shape)
 
     def calibration(self, band: int) -> Calibration | None:
@@ -116,7 +116,7 @@ class SicdReader:
 
     @cached_property
     def _calibration(self) -> Calibration | None:
-        with _silent():
+        with silent():
             return calibration_of_sicd(self._sicd, self.tree, str(self.path))
 
     def close(self) -> None:
@@ -124,7 +124,7 @@ class SicdReader:
 
 
 @contextmanager
-def _silent() -> Iterator[None]:
+def silent() -> Iterator[None]:
     """Keep sarkit and what it rests on from speaking on stderr of files that deviate from the standard."""
     loggers = [logging.getLogger(name) for name in ("sarkit", "jbpy")]
     before = [one.level for one in loggers]

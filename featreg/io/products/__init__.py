@@ -1,1 +1,1 @@
-"""What the metadata of products say that their raster file does not: orbit and timing, calibration."""
+"""What the metadata of products say that their raster file does not: geometry, calibration, phase."""
