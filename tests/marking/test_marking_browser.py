@@ -82,6 +82,13 @@ def click(page: Any, side: int, xy: np.ndarray[Any, Any]) -> None:
     page.mouse.click(*(np.array([box["x"] + box["width"] / 2, box["y"] + box["height"] / 2]) + (xy - 99.5) * zoom))
 
 
+def settled(page: Any, side: int) -> str:
+    """What a view shows once its tiles have come and are drawn."""
+    page.wait_for_load_state("networkidle")
+    page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    return str(page.locator(f"#view-{side}").evaluate("c => c.toDataURL()"))
+
+
 def mark(page: Any, number: int) -> None:
     click(page, 0, PLACES[number])
     page.get_by_text("Now the same place in the secondary").wait_for()
@@ -171,9 +178,8 @@ def test_the_page_has_no_violation_that_axe_knows(page: Any, accessible: Callabl
 
 def test_two_fingers_zoom_and_make_no_mark(page: Any) -> None:
     """A pinch on the reference: both views are enlarged, and no point is begun."""
-    picture = "c => c.toDataURL()"
     canvas = page.locator("#view-0")
-    before = canvas.evaluate(picture)
+    before = [settled(page, side) for side in (0, 1)]
     canvas.evaluate(
         """(canvas) => {
           canvas.setPointerCapture = () => {};
@@ -184,7 +190,8 @@ def test_two_fingers_zoom_and_make_no_mark(page: Any) -> None:
               clientX: box.left + x, clientY: box.top + 100}));
         }"""
     )
-    page.wait_for_timeout(300)
-    assert canvas.evaluate(picture) != before
+    for side in (0, 1):
+        changed = "([side, before]) => document.getElementById(`view-${side}`).toDataURL() !== before"
+        page.wait_for_function(changed, arg=[side, before[side]])
     assert page.locator("#cancel").is_disabled()
     assert page.locator("#points tr").count() == 0
