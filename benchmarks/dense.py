@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import textwrap
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -186,7 +187,7 @@ def picture(path: str, seed: int) -> None:
     """Write the hard pairs as rows: reference, secondary, chessboard of both as `sar-dense` aligns them, verdicts."""
     rows = []
     for title, reference, secondary, truth in hard_pairs(seed):
-        lines, board = [title, ""], None
+        lines, board = [*textwrap.wrap(title, 27), ""], None
         for method in SAID:
             result = featreg.match(reference, secondary, method=method, model="similarity", seed=0, nodata=0)
             error = error_of(result.model, truth, reference.shape) if truth is not None else math.inf
@@ -197,9 +198,10 @@ def picture(path: str, seed: int) -> None:
                 y, x = np.indices(reference.shape)
                 view = to_bytes(np.nan_to_num(np.asarray(aligned, np.float64)))
                 board = np.where((y // 50 + x // 50) % 2 == 0, to_bytes(reference), view)
-        panel = np.full((300, 420), 255, np.uint8)
+        # The picture is shown at half its size; its words are read there too.
+        panel = np.full((300, 470), 255, np.uint8)
         for i, line in enumerate(lines):
-            cv2.putText(panel, line, (12, 40 + 32 * i), cv2.FONT_HERSHEY_SIMPLEX, 0.48, 0, 1, cv2.LINE_AA)
+            cv2.putText(panel, line, (12, 40 + 36 * i), cv2.FONT_HERSHEY_SIMPLEX, 0.85, 0, 2, cv2.LINE_AA)
         blank = np.full((300, 300), 235, np.uint8)
         views = [to_bytes(reference), to_bytes(secondary), blank if board is None else board, panel]
         rows.append(np.hstack([cv2.copyMakeBorder(view, 4, 4, 4, 4, cv2.BORDER_CONSTANT, value=255) for view in views]))

@@ -23,8 +23,8 @@ NO_ABBREVIATION = {
 def explained() -> list[str]:
     """The first column of the glossary's tables, word by word."""
     text = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
-    cells = re.findall(r"^\| ([^|]+?) \|", text, re.M)
-    return [word for cell in cells for word in re.split(r", (?:and )?", cell) if set(cell) - set("- ")]
+    cells = [cell for cell in re.findall(r"^\| ([^|]+?) \|", text, re.M) if cell != "term" and set(cell) - set("- ")]
+    return [word for cell in cells for word in re.split(r", (?:and )?", cell)]
 
 
 def missing(text: str) -> set[str]:

@@ -171,7 +171,7 @@ def kinds(value: dict[str, Any]) -> str:
 
 def table(part: dict[str, Any]) -> str:
     required = part.get("required", [])
-    rows = ["| field | | |", "| --- | --- | --- |"]
+    rows = ["| field | type | meaning |", "| --- | --- | --- |"]
     for name, value in part["properties"].items():
         mark = "" if name in required or not required else ", where known"
         rows.append(f"| `{name}` | {kinds(value)}{mark} | {value['description']} |")
