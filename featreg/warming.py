@@ -30,6 +30,8 @@ DEFAULT = (
     "featreg.sar.keypoints.motion_kernels",
     "featreg.simulate.paint_kernels",
     "featreg.sar.gradients.ratio_kernels",
+    "featreg.sar.sample_kernels",
+    "featreg.sar.window_kernels",
 )
 
 
@@ -63,7 +65,21 @@ def warm_up() -> None:
         warp(result, image, like=SHAPE)
     focus(complex_[1])
     offsets(*real, window=32)
+    _warm_windows(real[0])
     _warm_geometry()
+
+
+def _warm_windows(pixels: Any) -> None:
+    """Make the views that large images get around points only."""
+    import numpy as np
+
+    from featreg.io import as_image
+    from featreg.sar.keypoints.corners import orientation
+    from featreg.sar.windows import aligned_windows, bytes_around, gaussian
+
+    image, at = as_image(pixels), np.array([[60, 60], [80, 90]])
+    orientation(*bytes_around(image, at, 15), 15)
+    aligned_windows(image, np.tile(np.eye(2, 3), (2, 1, 1)), image.shape, at - 16, 32, gaussian(1.0))
 
 
 def _warm_geometry() -> None:

@@ -20,7 +20,7 @@ from featreg.geometry.robust import irls
 from featreg.interfaces import FailedFit, Model
 from featreg.pipeline.aligned import MOST_SIDE, remapped
 from featreg.sar.correlation import Peaks, local_correlations, peaks
-from featreg.sar.speckle import despeckled
+from featreg.sar.speckle import despeckled, despeckled_halved
 from featreg.types import BoolArray, FloatArray, Image, IntArray
 
 F32 = NDArray[np.float32]
@@ -159,7 +159,7 @@ class Agreement:
         # Of the smoothed secondary every other pixel of the reference's grid is enough.
         stride = step // 2
         there = smaller(sampled(despeckled(secondary), model, reference.shape, stride), step // stride)
-        here, there = (contrast(view, valid) for view in (smaller(despeckled(reference), step), there))
+        here, there = (contrast(view, valid) for view in (smaller(despeckled_halved(reference), step // 2), there))
         return cls(here, there, valid, step)
 
     @cached_property

@@ -91,6 +91,15 @@ def linear_parts(model: Model, xy: FloatArray) -> FloatArray:
     return np.stack([(model(xy + step) - mapped) / STEP_PX for step in STEP_PX * np.eye(2)], axis=-1)
 
 
+def local_affines(model: Model, xy: FloatArray) -> FloatArray:
+    """(N, 2, 3) affine maps that a model is close to around each of (N, 2) points, and equal to there."""
+    linear = linear_parts(model, xy)
+    affine = np.empty((len(xy), 2, 3))
+    affine[:, :, :2] = linear
+    affine[:, :, 2] = model(xy) - np.einsum("nij,nj->ni", linear, xy)
+    return affine
+
+
 def inverted(matrices: FloatArray) -> FloatArray:
     """(N, 2, 2) inverses, infinite or NaN where there is none; a tenth of the time of numpy's."""
     a, b, c, d = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 0], matrices[:, 1, 1]
@@ -139,12 +148,17 @@ class WholeWindows:
     def __init__(self, reference: Image, secondary: Image, model: Model, half: int) -> None:
         self.reach = half + MARGIN
         self.reference, self.secondary, self.model = reference, secondary, model
-        self._clear = clear(reference, self.reach)
+        self._clear = None if reference.all_valid else clear(reference, self.reach)
         self._whole_there = None if secondary.all_valid else self._whole_in_secondary()
 
     def in_reference(self, xy: IntArray) -> BoolArray:
         """(N,) of (N, 2) whole pixels inside the reference."""
-        return np.asarray(self._clear[xy[:, 1], xy[:, 0]] & on_sample(xy, self.reference))
+        if self._clear is None:
+            room = np.array(self.reference.shape[::-1]) - self.reach
+            good = ((xy >= self.reach) & (xy < room)).all(axis=1)
+        else:
+            good = self._clear[xy[:, 1], xy[:, 0]]
+        return np.asarray(good & on_sample(xy, self.reference))
 
     def in_secondary(self, xy: IntArray) -> BoolArray:
         """(N,) of (N, 2) whole pixels inside the reference, for the windows of the resampled secondary around them."""

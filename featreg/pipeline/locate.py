@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -10,12 +11,21 @@ from annotated_types import Ge, Interval
 from numpy.typing import NDArray
 
 from featreg.interfaces import Model
-from featreg.pipeline.aligned import WholeWindows, halved, inverted, linear_parts, peak_covariance, resampled
+from featreg.pipeline.aligned import (
+    WholeWindows,
+    halved,
+    inverted,
+    linear_parts,
+    local_affines,
+    peak_covariance,
+    resampled,
+)
 from featreg.runtime.parameters import Positive, checked
 from featreg.runtime.threads import side_by_side
 from featreg.sar.bridging import on_sample
 from featreg.sar.correlation import local_correlations, peaks_uphill
 from featreg.sar.speckle import despeckled
+from featreg.sar.windows import aligned_windows, as_map, compact, few, gaussian, log_windows, places
 from featreg.types import FloatArray, Image, IntArray, Matches
 
 F32 = NDArray[np.float32]
@@ -69,28 +79,50 @@ class Locate:
         at, offset, rows = self._starts(reference, secondary, model, matches, rows)
         if not len(rows):
             return Matches.empty()
-        here, aligned = side_by_side(
+        here, aligned, first, second = self._views(reference, secondary, model, at, offset)
+        start = self._coarse(halved(here), halved(aligned), first, second)
+        peak = peaks_uphill(here, aligned, first, second, start, self.half_width, self.most_moved)
+        good = peak.sound & (peak.height >= self.least_peak)
+        xy = matches.reference_xy[rows]
+        there = model(xy + offset + peak.shift)
+        good &= on_sample(there, secondary)
+        kept = peak.take(good)
+        return Matches(xy[good], there[good], kept.height, peak_covariance(kept, model, xy[good]), rows[good])
+
+    def _views(
+        self, reference: Image, secondary: Image, model: Model, at: IntArray, offset: IntArray
+    ) -> tuple[F32, F32, IntArray, IntArray]:
+        """Both despeckled, the secondary on the reference's grid, and the (N, 2) points and their starts in these.
+
+        Of a large image only the windows around the points are made, one below the other.
+        """
+        # As far as pixels are compared, even, so that halving keeps the middle.
+        around = 2 * math.ceil(max(self.half_width + self.most_moved + 2, 2 * (self.half_width // 2 + COARSE + 1)) / 2)
+        side = 2 * around + 2
+        if few(len(at), side, reference.shape):
+            maps = local_affines(model, (at + offset).astype(np.float64))
+            if compact(maps):
+                smooth = gaussian(self.smoothing)
+                here = log_windows(reference, at - around, side, smooth)
+                aligned = aligned_windows(secondary, maps, reference.shape, at + offset - around, side, smooth)
+                middles = places(len(at), side, around)
+                return as_map(here), as_map(aligned), middles, middles
+        whole = side_by_side(
             [
                 lambda: despeckled(reference, self.smoothing),
                 lambda: resampled(despeckled(secondary, self.smoothing), model, reference.shape),
             ]
         )
-        start = self._coarse(halved(here), halved(aligned), at // 2, offset / 2)
-        peak = peaks_uphill(here, aligned, at, 2 * start, offset, self.half_width, self.most_moved)
-        good = peak.sound & (peak.height >= self.least_peak)
-        xy = matches.reference_xy[rows]
-        there = model(xy + peak.shift)
-        good &= on_sample(there, secondary)
-        kept = peak.take(good)
-        return Matches(xy[good], there[good], kept.height, peak_covariance(kept, model, xy[good]), rows[good])
+        return whole[0], whole[1], at, at + offset
 
-    def _coarse(self, first: F32, second: F32, at: IntArray, offset: FloatArray) -> IntArray:
-        """(N, 2) shifts that correlate best near an offset, in px of the halved images."""
+    def _coarse(self, first: F32, second: F32, at: IntArray, there: IntArray) -> IntArray:
+        """(N, 2) shifts from given starts that correlate best at half size, px."""
         half, side = self.half_width // 2, 2 * COARSE + 1
         inside = half + COARSE + 1
-        there = np.clip(at + np.rint(offset).astype(np.int64), inside, np.array(second.shape[::-1]) - inside - 1)
-        best = local_correlations(first, second, at, half, COARSE, there).reshape(len(at), -1).argmax(axis=1)
-        return np.asarray(there - at + np.column_stack([best % side, best // side]) - COARSE)
+        near = np.clip(there // 2, inside, np.array(second.shape[::-1]) - inside - 1)
+        best = local_correlations(first, second, at // 2, half, COARSE, near).reshape(len(at), -1).argmax(axis=1)
+        moved = near - at // 2 + np.column_stack([best % side, best // side]) - COARSE
+        return np.asarray(2 * moved - (there - at))
 
     def _starts(
         self, reference: Image, secondary: Image, model: Model, matches: Matches, rows: IntArray

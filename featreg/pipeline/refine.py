@@ -17,6 +17,7 @@ from featreg.pipeline.aligned import (
     MARGIN,
     WholeWindows,
     halved,
+    local_affines,
     peak_covariance,
     resampled,
     shared_pixels,
@@ -26,8 +27,15 @@ from featreg.runtime.parameters import Positive, checked
 from featreg.runtime.threads import side_by_side
 from featreg.sar.bridging import on_sample
 from featreg.sar.correlation import Peaks, local_correlations, peaks
-from featreg.sar.correlation_filter import correlation_filter
-from featreg.sar.speckle import despeckled, log_amplitude
+from featreg.sar.correlation_filter import (
+    SIDE,
+    CorrelationFilter,
+    correlation_filter,
+    filter_of_squares,
+    square_corners,
+)
+from featreg.sar.speckle import despeckled, despeckled_halved, log_amplitude
+from featreg.sar.windows import aligned_windows, as_map, compact, few, log_windows, places
 from featreg.types import BoolArray, FloatArray, Image, IntArray, Matches
 
 F32 = NDArray[np.float32]
@@ -35,6 +43,8 @@ F32 = NDArray[np.float32]
 # Points measured in the first pass, and rounds of each robust fit.
 SAMPLE = 1000
 ROUNDS = 6
+# Largest shift that the second pass looks for, px.
+FINE = 2
 # The filter before the second pass looks about so many pixels beyond a window.
 FILTER_MARGIN = 2
 # Windows of two places that tell how high peaks are by chance: most of them, the fewest that tell, and the height, of a
@@ -118,8 +128,7 @@ class Refine:
         none = Refined(Matches.empty(), FailedFit("no window of the two images correlates"), 0, 0)
         if min(reference.shape) < 4 * self.half:
             return none
-        here = despeckled(reference, self.sigma)
-        small = halved(here)
+        small = despeckled_halved(reference, self.sigma)
         usable = WholeWindows(reference, secondary, model, self.half + FILTER_MARGIN)
         seeds, origin = self._seeds(small, usable, matches, n_features)
         first = model if near else self._first_pass(small, secondary, model, seeds, reference.shape)
@@ -128,18 +137,12 @@ class Refine:
         if _distance(first, model, reference.shape) > 1:
             inside = WholeWindows(reference, secondary, first, self.half + FILTER_MARGIN)(seeds)
             seeds, origin = seeds[inside], origin[inside]
-        view, aligned = side_by_side(
-            [
-                lambda: log_amplitude(reference),
-                lambda: resampled(log_amplitude(secondary), first, reference.shape),
-            ]
-        )
-        best = correlation_filter(view, aligned, shared_pixels(reference, secondary, first))
-        if best is None:
+        views = self._views(reference, secondary, first, seeds)
+        if views is None:
             return none
-        view, aligned = side_by_side([partial(best.applied, view), partial(best.applied, aligned)])
-        fine = self._measure(view, aligned, seeds, self.half, 2)
-        least = self._height_by_chance(view, aligned, seeds)
+        view, aligned, at = views
+        fine = self._measure(view, aligned, at, self.half, FINE)
+        least = self._height_by_chance(view, aligned, seeds, at)
         final, there_xy, keep = self._fit(kind, first, seeds, fine.shift, fine, least)
         if isinstance(final, FailedFit):
             return none
@@ -156,6 +159,47 @@ class Refine:
         refined = Matches(here_xy, there_xy, found.height, covariance, origin[keep])
         return Refined(refined, final, len(seeds), correlated, measured)
 
+    def _views(
+        self, reference: Image, secondary: Image, model: Model, seeds: IntArray
+    ) -> tuple[F32, F32, IntArray] | None:
+        """Both images filtered on the reference's grid, and where in these the points are; None where nothing agrees.
+
+        Of a large image only the windows around the points are made, one below the other.
+        """
+        around = self.half + FINE + 1
+        side = 2 * around + 1
+        maps = local_affines(model, seeds.astype(np.float64)) if few(len(seeds), side, reference.shape) else None
+        if maps is not None and len(maps) and compact(maps):
+            best = self._filter(reference, secondary, model)
+            if best is None:
+                return None
+            view = log_windows(reference, seeds - around, side, filtered=best.taps)
+            aligned = aligned_windows(secondary, maps, reference.shape, seeds - around, side, filtered=best.taps)
+            return as_map(view), as_map(aligned), places(len(seeds), side, around)
+        view, aligned = side_by_side(
+            [
+                lambda: log_amplitude(reference),
+                lambda: resampled(log_amplitude(secondary), model, reference.shape),
+            ]
+        )
+        best = correlation_filter(view, aligned, shared_pixels(reference, secondary, model))
+        if best is None:
+            return None
+        view, aligned = side_by_side([partial(best.applied, view), partial(best.applied, aligned)])
+        return view, aligned, seeds
+
+    def _filter(self, reference: Image, secondary: Image, model: Model) -> CorrelationFilter | None:
+        """The filter of two images, from squares that are whole in both."""
+        half = SIDE // 2
+        corners = square_corners(reference.shape)
+        corners = corners[WholeWindows(reference, secondary, model, half - MARGIN)(corners + half)]
+        maps = local_affines(model, corners.astype(np.float64) + half)
+        if not len(corners) or not compact(maps):
+            return None
+        return filter_of_squares(
+            log_windows(reference, corners, SIDE), aligned_windows(secondary, maps, reference.shape, corners, SIDE)
+        )
+
     def _first_pass(
         self, small: F32, secondary: Image, model: Model, seeds: IntArray, shape: tuple[int, int]
     ) -> Model | FailedFit:
@@ -165,14 +209,17 @@ class Refine:
         coarse = self._measure(small, aligned, some // 2, self.half // 2, (self.search + 1) // 2)
         return self._fit(type(model), model, some, 2 * coarse.shift, coarse, self.min_correlation)[0]
 
-    def _height_by_chance(self, first: F32, second: F32, seeds: IntArray) -> float:
-        """The height that few peaks of windows of two different places reach."""
-        some = seeds[:: max(1, -(-len(seeds) // MOST_CHANCE))]
+    def _height_by_chance(self, first: F32, second: F32, seeds: IntArray, at: IntArray) -> float:
+        """The height that few peaks of windows of two different places reach; `at` is where points are in the maps."""
+        step = max(1, -(-len(seeds) // MOST_CHANCE))
+        some, at = seeds[::step], at[::step]
         other = np.roll(some, len(some) // 2, axis=0)
         apart = (np.abs(some - other) > 2 * self.half + 1).any(axis=1)
         if apart.sum() < LEAST_CHANCE:
             return self.min_correlation
-        found = peaks(local_correlations(first, second, some[apart], self.half, 2, other[apart]))
+        found = peaks(
+            local_correlations(first, second, at[apart], self.half, FINE, np.roll(at, len(at) // 2, axis=0)[apart])
+        )
         return max(LEAST_HEIGHT, float(np.quantile(found.height, 1 - self.by_chance)))
 
     def _measure(self, first: F32, second: F32, at: IntArray, half: int, search: int) -> Peaks:

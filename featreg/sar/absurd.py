@@ -55,12 +55,12 @@ def fill_hint(image: Image, role: str) -> str:
 
 def _level_above(amplitude: NDArray[np.float32], mask: BoolArray, empty: int) -> float | None:
     """The least amplitude above the highest gap of at least `empty` powers of two between samples, or None."""
-    # The usual case in three quick passes: hardly anything lies so far below the brightest sample. Invalid ones hold 0.
+    from featreg.sar.sample_kernels import count_between
+
+    # The usual case in quick passes: hardly anything lies so far below the brightest sample. Invalid ones hold 0.
     _, highest = np.frexp(amplitude.max())
-    positive = np.count_nonzero(amplitude)
-    if amplitude.size - np.count_nonzero(amplitude >= np.ldexp(1.0, int(highest) - 1 - empty)) < (
-        amplitude.size - positive + REST * positive
-    ):
+    level = np.float32(np.ldexp(1.0, int(highest) - 1 - empty))
+    if count_between(amplitude.ravel(), np.float32(0), level) < REST * np.count_nonzero(amplitude):
         return None
     exponents = amplitude.view(np.uint32) >> MANTISSA
     counts = np.bincount(exponents.ravel(), minlength=256)[:256].copy()

@@ -93,30 +93,30 @@ def _in_order(found: FloatArray, order: IntArray) -> FloatArray:
 
 
 def peaks_uphill(
-    first: F32, second: F32, xy: IntArray, start: IntArray, centre: IntArray, half: int, search: int
+    first: F32, second: F32, xy: IntArray, there: IntArray, start: IntArray, half: int, search: int
 ) -> Peaks:
     """Return the peak that is reached uphill from a start, by whole pixels and at last to sub-pixel.
 
     Parameters
     ----------
     first, second, xy, half : as in `local_correlations`
+    there : (N, 2) int64 points of `second` from which shifts count
     start : (N, 2) int64 px, shift (dx, dy) at which to begin
-    centre, search : (N, 2) int64 px; a shift stays within so much of it along x and y. Points lie at least half + 1
-        pixels inside, those of `second` (xy + centre) at least half + search + 2
+    search : a shift stays within so much along x and y, px. Points of `first` lie at least half + 1 pixels inside,
+        those of `second` at least half + search + 2
 
     Notes
     -----
     Where a start is right to a pixel, nine shifts are compared instead of all within the search.
     """
     found = np.zeros((len(xy), 3, 3))
-    low, high = centre - search, centre + search
-    now, left = np.clip(start, low, high), np.arange(len(xy))
+    now, left = np.clip(start, -search, search), np.arange(len(xy))
     for _ in range(2 * search):
-        some = local_correlations(first, second, xy[left], half, 1, xy[left] + now[left])
+        some = local_correlations(first, second, xy[left], half, 1, there[left] + now[left])
         found[left] = some
         best = some.reshape(-1, 9).argmax(axis=1)
         step = now[left] + np.column_stack([best % 3 - 1, best // 3 - 1])
-        onward = (best != 4) & ((step >= low[left]) & (step <= high[left])).all(axis=1)
+        onward = (best != 4) & (np.abs(step) <= search).all(axis=1)
         left = left[onward]
         if not len(left):
             break

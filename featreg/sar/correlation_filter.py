@@ -34,6 +34,11 @@ class CorrelationFilter:
     down: F32
     coherence: FloatArray
 
+    @property
+    def taps(self) -> tuple[F32, F32]:
+        """(T, 1 + K // 2) taps along x and y from the middle on."""
+        return self.across[:, HALF:].copy(), self.down[:, HALF:].copy()
+
     def applied(self, view: F32) -> F32:
         """Return a filtered (H, W) map; beyond its rim it is mirrored."""
         import cv2
@@ -56,6 +61,17 @@ def correlation_filter(first: F32, second: F32, valid: BoolArray | None = None) 
     Returns
     -------
     The filter for both maps; None where they share no valid square of `SIDE` px, or nothing in those they share.
+    """
+    corners = square_corners(first.shape)
+    if valid is not None and len(corners):
+        squares = np.lib.stride_tricks.sliding_window_view(valid, (SIDE, SIDE))
+        corners = corners[squares[corners[:, 1], corners[:, 0]].all(axis=(1, 2))]
+    x, y = (corners[:, k, None] + np.arange(SIDE) for k in (0, 1))
+    return filter_of_squares(*(view[y[:, :, None], x[:, None, :]] for view in (first, second)))
+
+
+def filter_of_squares(first: F32, second: F32) -> CorrelationFilter | None:
+    """Return the `correlation_filter` of two maps of which (N, SIDE, SIDE) squares are given.
 
     Notes
     -----
@@ -71,10 +87,9 @@ def correlation_filter(first: F32, second: F32, valid: BoolArray | None = None) 
     .. [1] C. H. Knapp, G. C. Carter, "The generalized correlation method for estimation of time delay", IEEE Trans.
        Acoust. Speech Signal Process. 24(4), 1976, DOI 10.1109/TASSP.1976.1162830
     """
-    corners = _squares(first.shape, valid)
-    if not len(corners):
+    if not len(first):
         return None
-    here, there = (_spectra(view, corners) for view in (first, second))
+    here, there = (_spectra(squares) for squares in (first, second))
     turns = np.hypot(np.fft.fftfreq(SIDE)[:, None], np.fft.rfftfreq(SIDE)[None]) * SIDE
     cross, power, other = (
         _radial(np.einsum("ncxy,ncxy->yx", one, two).astype(np.float64), turns)
@@ -92,8 +107,8 @@ def correlation_filter(first: F32, second: F32, valid: BoolArray | None = None) 
     return CorrelationFilter(*_separable(response), np.sqrt(squared))
 
 
-def _squares(shape: tuple[int, int], valid: BoolArray | None) -> IntArray:
-    """(N, 2) upper left corners (x, y) of squares that are valid, spread evenly and at least half a square apart."""
+def square_corners(shape: tuple[int, int]) -> IntArray:
+    """Return the (N, 2) upper left corners (x, y) of squares spread evenly, at least half a square apart."""
     height, width = shape
     if min(height, width) < SIDE:
         return np.zeros((0, 2), np.int64)
@@ -102,20 +117,14 @@ def _squares(shape: tuple[int, int], valid: BoolArray | None) -> IntArray:
         np.rint(np.linspace(0, size - SIDE, max(1, int((size - SIDE) / step) + 1))).astype(np.int64)
         for size in (height, width)
     )
-    corners = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
-    if valid is None:
-        return corners
-    squares = np.lib.stride_tricks.sliding_window_view(valid, (SIDE, SIDE))
-    return corners[squares[corners[:, 1], corners[:, 0]].all(axis=(1, 2))]
+    return np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
 
 
-def _spectra(view: F32, corners: IntArray) -> F32:
+def _spectra(squares: F32) -> F32:
     """(N, 2, SIDE / 2 + 1, SIDE) real and imaginary parts of the spectra, by x and y, of squares of unit energy.
 
     Of many small squares the transform is quickest as a product of matrices.
     """
-    x, y = (corners[:, k, None] + np.arange(SIDE) for k in (0, 1))
-    squares = view[y[:, :, None], x[:, None, :]]
     window = np.hanning(SIDE + 2)[1:-1].astype(np.float32)
     squares = (squares - squares.mean(axis=(1, 2), keepdims=True)) * (window[:, None] * window)
     energy = np.sqrt((squares**2).sum(axis=(1, 2), keepdims=True))

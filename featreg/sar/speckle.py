@@ -36,12 +36,27 @@ def despeckled(image: Image, sigma: float = 1.0) -> F32:
     return image.derive(_despeckled, sigma=float(sigma))
 
 
+def despeckled_halved(image: Image, sigma: float = 1.0) -> F32:
+    """Return `despeckled` at half size, each sample the mean of 2 x 2 pixels; an odd last row or column is left out."""
+    return image.derive(_despeckled_halved, sigma=float(sigma))
+
+
 def despeckled_bytes(image: Image, sigma: float = 1.0) -> NDArray[np.uint8]:
     """Return `despeckled` in (H, W) uint8 steps of 1/28, 128 being about the mean level, where no more is needed.
 
     A quarter of the memory, so that scattered look-ups stay in the cache; the step is a fifth of what speckle leaves.
     """
     return image.derive(_despeckled_bytes, sigma=float(sigma))
+
+
+def as_bytes(image: Image, logs: F32, out: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
+    """Return smoothed logarithms of an image's amplitude in the steps of `despeckled_bytes`, in `out` if given."""
+    import cv2
+
+    # The mean of the logarithm of speckle lies that much below the logarithm of its mean, about; the floor of the
+    # logarithm lies log(100) = 4.6 below the mean amplitude, so nothing turns negative.
+    middle = math.log(max(mean_amplitude(image), 1e-30)) - BELOW_MEAN
+    return np.asarray(cv2.convertScaleAbs(logs, out, alpha=28, beta=128 - 28 * middle), np.uint8)
 
 
 def equivalent_looks(image: Image) -> float:
@@ -65,6 +80,16 @@ def filled_amplitude(image: Image) -> F32:
 def _filled_amplitude(image: Image) -> F32:
     # Invalid pixels hold 0.
     return np.asarray(image.amplitude + np.float32(mean_amplitude(image)) * ~image.mask, np.float32)
+
+
+def log_floor(image: Image) -> np.float32:
+    """Return the least amplitude of which a logarithm is taken."""
+    return np.float32(max(FLOOR * mean_amplitude(image), 1e-30))
+
+
+def gaussian_reach(sigma: float) -> int:
+    """Return how many pixels to each side a Gaussian of `sigma` pixels is taken."""
+    return round(2.5 * sigma)
 
 
 def mean_amplitude(image: Image) -> float:
@@ -108,15 +133,25 @@ def _despeckled(image: Image, sigma: float) -> F32:
     return out
 
 
-def _despeckled_bytes(image: Image, sigma: float) -> NDArray[np.uint8]:
+def _despeckled_halved(image: Image, sigma: float) -> F32:
     import cv2
 
-    # The mean of the logarithm of speckle lies that much below the logarithm of its mean, about; the floor of the
-    # logarithm lies log(100) = 4.6 below the mean amplitude, so nothing turns negative.
-    middle = math.log(max(mean_amplitude(image), 1e-30)) - BELOW_MEAN
+    height, width = (n // 2 for n in image.shape)
+    out = np.empty((height, width), np.float32)
+    if not out.size:
+        return out
+    for start, stop, smooth in _smoothed_strips(image, sigma):
+        rows = (stop - start) // 2
+        if rows:
+            size = width, rows
+            cv2.resize(smooth[: 2 * rows, : 2 * width], size, out[start // 2 : start // 2 + rows], 0, 0, cv2.INTER_AREA)
+    return out
+
+
+def _despeckled_bytes(image: Image, sigma: float) -> NDArray[np.uint8]:
     out = np.empty(image.shape, np.uint8)
     for start, stop, smooth in _smoothed_strips(image, sigma):
-        cv2.convertScaleAbs(smooth, out[start:stop], alpha=28, beta=128 - 28 * middle)
+        as_bytes(image, smooth, out[start:stop])
     return out
 
 
@@ -129,9 +164,9 @@ def _smoothed_strips(image: Image, sigma: float) -> Iterator[tuple[int, int, F32
 
     amplitude = filled_amplitude(image)
     height, width = amplitude.shape
-    reach = round(2.5 * sigma)
+    reach = gaussian_reach(sigma)
     side = 2 * reach + 1
-    rows = min(height, max(1, STRIP // width) + 2 * reach)
+    rows = min(height, max(2, STRIP // width // 2 * 2) + 2 * reach)
     logs, smooth = np.empty((rows, width), np.float32), np.empty((rows, width), np.float32)
     for start, stop in _strips(amplitude.shape):
         first, last = max(start - reach, 0), min(stop + reach, height)
@@ -142,9 +177,9 @@ def _smoothed_strips(image: Image, sigma: float) -> Iterator[tuple[int, int, F32
 
 
 def _strips(shape: tuple[int, int]) -> Iterator[tuple[int, int]]:
-    """(first, behind the last) row of strips of an image that stay in the cache."""
+    """(first, behind the last) row of strips of an image that stay in the cache; all but the last have even ends."""
     height, width = shape
-    rows = max(1, STRIP // width)
+    rows = max(2, STRIP // width // 2 * 2)
     for start in range(0, height, rows):
         yield start, min(start + rows, height)
 
@@ -152,5 +187,4 @@ def _strips(shape: tuple[int, int]) -> Iterator[tuple[int, int]]:
 def _log_of_rows(image: Image, amplitude: F32, start: int, stop: int, out: F32) -> None:
     import cv2
 
-    floor = np.float32(max(FLOOR * mean_amplitude(image), 1e-30))
-    cv2.log(np.maximum(amplitude[start:stop], floor, out=out), out)
+    cv2.log(np.maximum(amplitude[start:stop], log_floor(image), out=out), out)

@@ -50,6 +50,22 @@ def test_positions_that_are_off_by_a_pixel_or_two_are_found_again(pair: Simulate
     np.testing.assert_array_equal(found.reference_xy, given.reference_xy[found.origin])
 
 
+def test_windows_around_few_matches_say_what_the_whole_images_do(
+    pair: SimulatedPair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    xy = spread(100)
+    given = around(pair.truth, xy, np.random.default_rng(0).uniform(-2, 2, xy.shape))
+    found = []
+    for windows in (False, True):
+        monkeypatch.setattr("featreg.pipeline.locate.few", lambda *_, windows=windows: windows)
+        found.append(measured(pair, given))
+    assert abs(len(found[0]) - len(found[1])) <= 3
+    _, one, other = np.intersect1d(found[0].origin, found[1].origin, return_indices=True)
+    off = np.hypot(*(found[0].secondary_xy[one] - found[1].secondary_xy[other]).T)
+    assert np.median(off) < 0.02
+    assert np.mean(off < 0.1) > 0.95
+
+
 def test_a_wrong_match_stays_wrong_or_is_left_out(pair: SimulatedPair) -> None:
     """Windows are looked for around the match's own position, not around where the model maps it."""
     xy = spread(margin=60.0)

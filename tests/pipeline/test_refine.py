@@ -63,6 +63,26 @@ def test_errors_are_as_large_as_their_covariances_say(seed: int) -> None:
     assert 1.0 < squared.mean() < 4.0  # 2 for two Gaussian errors
 
 
+@pytest.mark.parametrize("kind", [Affine, Homography])
+def test_windows_around_few_points_say_what_the_whole_images_do(
+    pair: SimulatedPair, kind: type[Model], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    points = np.random.default_rng(0).uniform(0, 299, (50, 2))
+    start = kind.from_estimate(points, near(pair.truth)(points))
+    assert isinstance(start, Model)
+    images = as_image(pair.reference), as_image(pair.secondary)
+    found = []
+    for windows in (False, True):
+        monkeypatch.setattr("featreg.pipeline.refine.few", lambda *_, windows=windows: windows)
+        found.append(Refine().run(*images, start, Matches.empty(), 200))
+    whole, around = found
+    np.testing.assert_allclose(around.measured.score[:20], whole.measured.score[:20], atol=0.02)
+    assert isinstance(whole.model, Model)
+    assert isinstance(around.model, Model)
+    assert np.abs(whole.model(points) - around.model(points)).max() < 0.02
+    assert abs(len(around.matches) - len(whole.matches)) < 10
+
+
 def test_tie_points_are_distinct_whole_pixels_within_the_limit(pair: SimulatedPair) -> None:
     found = refined(pair)
     xy = found.matches.reference_xy

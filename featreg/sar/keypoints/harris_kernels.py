@@ -47,7 +47,7 @@ def _four_more(a: F32, b: F32, c: F32, d: F32, inner: np.float32, outer: np.floa
 
 
 @compiled
-def _smoothed_along(row: F32, taps: F32, out: F32) -> None:
+def smoothed_along(row: F32, taps: F32, out: F32) -> None:
     """Smooth a row, which is as much longer than `out` on both sides as there are taps beside the middle one."""
     m, n = taps.shape[0] - 1, out.shape[0]
     if m == 1:
@@ -65,7 +65,7 @@ def _smoothed_along(row: F32, taps: F32, out: F32) -> None:
 
 
 @compiled
-def _smoothed_across(rows: F32, at: I64, taps: F32, out: F32) -> None:
+def smoothed_across(rows: F32, at: I64, taps: F32, out: F32) -> None:
     """Smooth across rows (n, W), of which those `at` (2 * reach + 1,) lie around the wanted one, in order."""
     m = taps.shape[0] - 1
     if m == 1:
@@ -113,14 +113,14 @@ def response(gx: F32, gy: F32, taps: F32, rows: I64, columns: I64, d: np.float32
             for k in range(reach):
                 product[n, k] = product[n, reach + columns[k]]
                 product[n, reach + width + k] = product[n, reach + columns[reach + width + k]]
-            _smoothed_along(product[n], taps, ring[n, y % side])
+            smoothed_along(product[n], taps, ring[n, y % side])
         # A row is complete when the last one that it needs is there; the last ones wait for the last of all.
         ready = y - reach + 1 if y < height - 1 else height
         for row in range(done, ready):
             for k in range(side):
                 places[k] = rows[row + k] % side
             for n in range(3):
-                _smoothed_across(ring[n], places, taps, smooth[n])
+                smoothed_across(ring[n], places, taps, smooth[n])
             _response_of_row(smooth[0], smooth[1], smooth[2], d, out[row])
         done = max(done, ready)
 

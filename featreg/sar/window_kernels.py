@@ -1,0 +1,134 @@
+"""Compiled loops over windows around points, where the image around them all would be more than is needed."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from featreg.runtime.jit import compiled
+from featreg.sar.gradients.ratio_kernels import fast_log
+from featreg.sar.keypoints.harris_kernels import smoothed_across, smoothed_along
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+
+@compiled
+def _mirrored(place: int, length: int) -> int:
+    """Where a place lies that is mirrored about the ends of an axis, as often as it takes."""
+    period = max(2 * (length - 1), 1)
+    place = place % period
+    return min(place, period - place) if length > 1 else 0
+
+
+@compiled
+def _log_of_row(row: F32, floor: np.float32, out: F32) -> None:
+    for x in range(out.shape[0]):
+        out[x] = fast_log(max(row[x], floor))
+
+
+@compiled
+def log_windows(amplitude: F32, floor: np.float32, corners: I64, out: F32) -> None:
+    """Fill `out` (N, h, w) with the logarithm of the amplitude (H, W), at least `floor`, from corners (N, 2) on.
+
+    Beyond its rim the amplitude is mirrored.
+    """
+    height, width = amplitude.shape
+    n, rows, columns = out.shape
+    copied = np.empty(columns, np.float32)
+    for i in range(n):
+        left, top = corners[i, 0], corners[i, 1]
+        inside = left >= 0 and left + columns <= width
+        for r in range(rows):
+            y = _mirrored(top + r, height)
+            if inside:
+                _log_of_row(amplitude[y, left : left + columns], floor, out[i, r])
+            else:
+                for c in range(columns):
+                    copied[c] = amplitude[y, _mirrored(left + c, width)]
+                _log_of_row(copied, floor, out[i, r])
+
+
+@compiled
+def _added(row: F32, out: F32) -> None:
+    for x in range(out.shape[0]):
+        out[x] += row[x]
+
+
+@compiled
+def smoothed_windows(windows: F32, across: F32, down: F32, out: F32) -> None:
+    """Fill `out` with windows (N, h, w) under a sum of separable symmetric filters; the rims are used up.
+
+    `across` and `down` (T, 1 + reach) are the taps from the middle on, `out` is (N, h - 2 * reach, w - 2 * reach).
+    """
+    terms, reach = across.shape[0], across.shape[1] - 1
+    n, rows, columns = out.shape
+    part, row = np.empty((rows + 2 * reach, columns), np.float32), np.empty(columns, np.float32)
+    at = np.empty(2 * reach + 1, np.int64)
+    for i in range(n):
+        for t in range(terms):
+            for y in range(rows + 2 * reach):
+                smoothed_along(windows[i, y], across[t], part[y])
+            for y in range(rows):
+                for k in range(2 * reach + 1):
+                    at[k] = y + k
+                if t == 0:
+                    smoothed_across(part, at, down[t], out[i, y])
+                else:
+                    smoothed_across(part, at, down[t], row)
+                    _added(row, out[i, y])
+
+
+@compiled
+def _sampled_row(flat: F32, width: int, u: F32, v: F32, most_u: np.float32, most_v: np.float32, out: F32) -> None:
+    """Bilinear values of a window, given row by row, at places that are brought into it."""
+    zero = np.float32(0)
+    for c in range(out.shape[0]):
+        x, y = min(max(u[c], zero), most_u), min(max(v[c], zero), most_v)
+        left, top = np.int32(x), np.int32(y)
+        dx, dy = x - np.float32(left), y - np.float32(top)
+        at = np.uint64(top * np.int32(width) + left)
+        below = at + np.uint64(width)
+        one = np.uint64(1)
+        upper = flat[at] + dx * (flat[at + one] - flat[at])
+        lower = flat[below] + dx * (flat[below + one] - flat[below])
+        out[c] = upper + dy * (lower - upper)
+
+
+@compiled
+def sampled_windows(
+    boxes: F32, box_width: int, starts: I64, height: int, width: int, affine: F64, corners: I64, rows: int,
+    columns: int, out: F32,
+) -> None:  # fmt: skip
+    """Fill `out` (N, h, w) with an image at the places to which affine maps (N, 2, 3) take windows of a grid.
+
+    Parameters
+    ----------
+    boxes, box_width, starts : (N, H * W) the parts of the image that are needed, row by row, the length of their rows,
+        and the (x, y) at which they begin in the image; they reach at least one pixel beyond what is asked for
+    height, width : of the image, beyond whose rim its last pixels go on
+    corners : (N, 2) where the windows begin on a grid of `rows` x `columns`, beyond whose rim it is mirrored
+    """
+    n, high, wide = out.shape
+    box_height = boxes.shape[1] // box_width
+    shift_x, shift_y = np.empty(wide, np.float32), np.empty(wide, np.float32)
+    u, v = np.empty(wide, np.float32), np.empty(wide, np.float32)
+    for i in range(n):
+        map_to = affine[i]
+        left, top = corners[i, 0], corners[i, 1]
+        for c in range(wide):
+            x = np.float64(_mirrored(left + c, columns) - left)
+            shift_x[c], shift_y[c] = np.float32(map_to[0, 0] * x), np.float32(map_to[1, 0] * x)
+        # Places are brought into the image first and into the box after that; both as seen from the box.
+        x0, y0 = np.float64(starts[i, 0]), np.float64(starts[i, 1])
+        low_x, high_x = np.float32(max(-x0, 0.0)), np.float32(max(min(width - 1 - x0, box_width - 1.001), 0.0))
+        low_y, high_y = np.float32(max(-y0, 0.0)), np.float32(max(min(height - 1 - y0, box_height - 1.001), 0.0))
+        for r in range(high):
+            y = np.float64(_mirrored(top + r, rows))
+            base_x = np.float32(map_to[0, 0] * left + map_to[0, 1] * y + map_to[0, 2] - x0)
+            base_y = np.float32(map_to[1, 0] * left + map_to[1, 1] * y + map_to[1, 2] - y0)
+            for c in range(wide):
+                u[c] = max(base_x + shift_x[c], low_x)
+                v[c] = max(base_y + shift_y[c], low_y)
+            _sampled_row(boxes[i], box_width, u, v, high_x, high_y, out[i, r])

@@ -1,0 +1,194 @@
+"""Views of a SAR image in windows around points: what they cost is the windows' pixels, not the image's.
+
+Windows are squares (N, S, S) float32, taken from upper left corners (N, 2) on. One below the other they are a map again
+(`as_map`), in which `places` says where a pixel of each window lies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from featreg.runtime.threads import side_by_side
+from featreg.sar.speckle import as_bytes, despeckled_bytes, filled_amplitude, gaussian_reach, log_floor
+from featreg.types import FloatArray, Image, IntArray
+
+F32 = NDArray[np.float32]
+
+#: Windows that are worked on at a time, so that they stay in the cache, and parts that threads share out.
+CHUNK, PARTS = 32, 8
+#: Pixels of an image for each one of windows from which on these are less work where a view is filtered and resampled
+#: for one purpose, and where it is only smoothed, and serves several.
+FILTERED, SHARED = 1.0, 4.0
+#: A window needs at most so many times its side of the other image; beyond, the whole image is quicker.
+MOST_STRETCHED = 2.0
+
+#: (T, 1 + reach) taps along x and along y, from the middle on, of a sum of symmetric separable filters.
+Taps = tuple[F32, F32]
+
+
+def few(count: int, side: int, shape: tuple[int, int], times: float = FILTERED) -> bool:
+    """Whether so many windows of `side` px have so many `times` fewer pixels than an image of (H, W)."""
+    return times * count * side**2 < shape[0] * shape[1]
+
+
+def gaussian(sigma: float) -> Taps:
+    """Return the taps by which `featreg.sar.speckle.despeckled` smooths."""
+    import cv2
+
+    reach = gaussian_reach(sigma)
+    taps = np.asarray(cv2.getGaussianKernel(2 * reach + 1, sigma).ravel()[reach:], np.float32)[None]
+    return taps, taps
+
+
+def as_map(windows: F32) -> F32:
+    """Return windows (N, S, S) as one map (N * S, S)."""
+    return windows.reshape(-1, windows.shape[2])
+
+
+def places(count: int, side: int, at: int) -> IntArray:
+    """Return the (N, 2) places (x, y) in `as_map` of the pixel (`at`, `at`) of each window."""
+    return np.column_stack([np.full(count, at), np.arange(count) * side + at])
+
+
+def log_windows(
+    image: Image, corners: IntArray, side: int, smooth: Taps | None = None, filtered: Taps | None = None
+) -> F32:
+    """Return windows of the log-amplitude of an image, beyond its rim mirrored.
+
+    Parameters
+    ----------
+    image : the image
+    corners, side : (N, 2) whole pixels (x, y) where the windows begin, and their side, px
+    smooth, filtered : filters to be applied, one after the other
+    """
+    amplitude, floor = filled_amplitude(image), log_floor(image)
+
+    def made(some: IntArray) -> F32:
+        return _under(_under(_logs(amplitude, floor, some, side, smooth, filtered), smooth), filtered)
+
+    return _in_chunks(made, corners, side)
+
+
+def aligned_windows(
+    image: Image,
+    affine: FloatArray,
+    shape: tuple[int, int],
+    corners: IntArray,
+    side: int,
+    smooth: Taps | None = None,
+    filtered: Taps | None = None,
+) -> F32:
+    """Return windows of the log-amplitude of an image on the grid of another one.
+
+    Parameters
+    ----------
+    image : the image
+    affine : (N, 2, 3) float64, from the pixels of the grid to those of the image around each window
+    shape : (H, W) of the grid; beyond its rim the view is mirrored, and that of the image goes on beyond its own
+    corners, side : (N, 2) whole pixels (x, y) of the grid where the windows begin, and their side, px; their middles
+        lie on the grid
+    smooth : a filter to be applied before the image is interpolated, bilinearly
+    filtered : a filter to be applied to what was interpolated
+    """
+    from featreg.sar import window_kernels
+
+    amplitude, floor = filled_amplitude(image), log_floor(image)
+    reach = _reach(filtered)
+    wide = side + 2 * reach
+    box = _box_side(affine, wide)
+    height, width = amplitude.shape
+    rows, columns = shape
+
+    def made(which: IntArray) -> F32:
+        some, maps = np.ascontiguousarray(corners[which] - reach), np.ascontiguousarray(affine[which])
+        middle = some + (wide - 1) / 2
+        starts = np.floor(np.einsum("nij,nj->ni", maps[:, :, :2], middle) + maps[:, :, 2] - (box - 1) / 2)
+        starts = starts.astype(np.int64)
+        boxes = _under(_logs(amplitude, floor, starts, box, smooth), smooth)
+        out = np.empty((len(some), wide, wide), np.float32)
+        window_kernels.sampled_windows(
+            boxes.reshape(len(some), -1), box, starts, height, width, maps, some, rows, columns, out
+        )
+        return _under(out, filtered)
+
+    return _in_chunks(made, np.arange(len(corners)), side)
+
+
+def compact(affine: FloatArray) -> bool:
+    """Whether affine maps (N, 2, 3) are finite, and none takes a square to so much that windows are no good."""
+    return bool(np.isfinite(affine).all()) and float(np.abs(affine[:, :, :2]).sum(axis=2).max()) <= MOST_STRETCHED
+
+
+def bytes_around(image: Image, at: IntArray, half: int, sigma: float = 1.0) -> tuple[NDArray[np.uint8], IntArray]:
+    """Return `featreg.sar.speckle.despeckled_bytes` as far as squares around points reach, and the points in it.
+
+    Parameters
+    ----------
+    image : the image
+    at, half : (N, 2) whole pixels (x, y) of the image, and half the squares around them, px; beyond the rim of the
+        image they are mirrored
+    sigma : of the Gaussian, px
+
+    Returns
+    -------
+    (H, W) uint8 and (N, 2) int64; the map is that of the whole image where this is less work
+    """
+    side = 2 * half + 1
+    smooth = gaussian(sigma)
+    if not len(at):
+        return np.zeros((0, side), np.uint8), at
+    if not few(len(at), side + 2 * _reach(smooth), image.shape, SHARED):
+        return despeckled_bytes(image, sigma), at
+    return as_bytes(image, as_map(log_windows(image, at - half, side, smooth))), places(len(at), side, half)
+
+
+def _box_side(affine: FloatArray, side: int) -> int:
+    """Side of upright squares of the image that hold what the maps make of squares of `side` px, and two px more."""
+    stretch = float(np.abs(affine[:, :, :2]).sum(axis=2).max()) if len(affine) else 1.0
+    return int(np.ceil(stretch * (side + 1))) + 5
+
+
+def _reach(taps: Taps | None) -> int:
+    return 0 if taps is None else taps[0].shape[1] - 1
+
+
+def _logs(amplitude: F32, floor: np.float32, corners: IntArray, side: int, *later: Taps | None) -> F32:
+    """Windows of the logarithm, as much larger on each side as filters to come use up."""
+    from featreg.sar import window_kernels
+
+    more = sum(_reach(taps) for taps in later)
+    out = np.empty((len(corners), side + 2 * more, side + 2 * more), np.float32)
+    window_kernels.log_windows(amplitude, floor, np.ascontiguousarray(corners - more), out)
+    return out
+
+
+def _under(windows: F32, taps: Taps | None) -> F32:
+    """Windows under a filter, smaller by what it reaches."""
+    from featreg.sar import window_kernels
+
+    if not _reach(taps) or taps is None:
+        return windows
+    side = windows.shape[1] - 2 * _reach(taps)
+    out = np.empty((len(windows), side, side), np.float32)
+    window_kernels.smoothed_windows(windows, *taps, out)
+    return out
+
+
+def _in_chunks(made: Callable[[IntArray], F32], given: IntArray, side: int) -> F32:
+    """What a function makes of some of (N, ...) rows at a time, together; side by side where threads were asked for."""
+    out = np.empty((len(given), side, side), np.float32)
+
+    def part(first: int, last: int) -> None:
+        for start in range(first, last, CHUNK):
+            stop = min(start + CHUNK, last)
+            out[start:stop] = made(given[start:stop])
+
+    parts = min(PARTS, -(-len(given) // CHUNK))
+    edges = np.linspace(0, len(given), parts + 1).astype(int).tolist()
+    side_by_side([partial(part, *ends) for ends in pairwise(edges)])
+    return out
