@@ -9,8 +9,8 @@ import numpy as np
 from featreg.errors import InputError
 from featreg.types import FloatArray, read_only
 
-#: State vectors around an interval through which its polynomial goes.
-NEIGHBOURS = 4
+#: State vectors around an interval through which its polynomials go, and the least of which each is good enough alone.
+NEIGHBOURS, ENOUGH = 8, 6
 #: A velocity may differ from what the positions say by so many metres a second; one that does not turn with the Earth
 #: differs by hundreds.
 ODD_SPEED = 20.0
@@ -33,9 +33,12 @@ class Orbit:
 
     Notes
     -----
-    Hermite interpolation: in each interval the polynomial of degree 7 through positions and velocities of the four
-    state vectors nearest to it (all, where there are fewer). With a vector every 10 s that is right to less than 1e-4 m
-    for satellites near the Earth, and every 60 s to less than 1e-2 m.
+    In each interval positions go by the polynomial of degree 7 through the eight state vectors nearest to it, and
+    velocities by one of their own. With a vector every 10 s that is right to less than 1e-4 m for satellites near the
+    Earth, and every 60 s to less than 1e-2 m. Stated velocities differ from the slope of stated positions, by 0.02 m/s
+    in annotations of Sentinel-1, and processors compute with what is stated: the direction of zero Doppler that follows
+    from one polynomial through both is 0.1 to 0.4 px off the annotation's own grid between the vectors. Of fewer than
+    six vectors it is the Hermite polynomial through positions and velocities of all.
     """
 
     times: FloatArray
@@ -65,11 +68,13 @@ class Orbit:
             )
         for name, values in (("times", times), ("positions", where), ("velocities", speed)):
             object.__setattr__(self, name, read_only(values))
-        object.__setattr__(self, "_pieces", read_only(_hermite(times, where, speed)))
+        object.__setattr__(self, "_pieces", read_only(_coefficients(times, where, speed)))
 
     @property
     def pieces(self) -> FloatArray:
-        """(M - 1, 3, K) coefficients of each interval: powers of (t - its middle) / its half length."""
+        """(M - 1, 6, K) coefficients of each interval for position and velocity: powers of (t - its middle) / its half
+        length.
+        """
         pieces: FloatArray = self.__dict__["_pieces"]
         return pieces
 
@@ -83,19 +88,25 @@ class Orbit:
         return found[:, :3], found[:, 3:6]
 
 
-def _hermite(times: FloatArray, positions: FloatArray, velocities: FloatArray) -> FloatArray:
+def _coefficients(times: FloatArray, positions: FloatArray, velocities: FloatArray) -> FloatArray:
     """The coefficients of `Orbit.pieces`."""
+    alone = len(times) >= ENOUGH
     count = min(NEIGHBOURS, len(times))
-    powers = np.arange(2 * count)
-    out = np.empty((len(times) - 1, 3, 2 * count))
+    powers = np.arange(count if alone else 2 * count)
+    out = np.zeros((len(times) - 1, 6, len(powers)))
     for i in range(len(times) - 1):
         first = min(max(i - (count - 2) // 2, 0), len(times) - count)
         rows = slice(first, first + count)
         middle, half = 0.5 * (times[i] + times[i + 1]), 0.5 * (times[i + 1] - times[i])
         u = ((times[rows] - middle) / half)[:, None]
-        slopes = powers * u ** np.maximum(powers - 1, 0)
         # From the interval's own position, so that the digits are spent on what changes.
-        values = np.concatenate([positions[rows] - positions[i], velocities[rows] * half])
-        out[i] = np.linalg.solve(np.concatenate([u**powers, slopes]), values).T
-        out[i, :, 0] += positions[i]
+        there = positions[rows] - positions[i]
+        if alone:
+            out[i] = np.linalg.solve(u**powers, np.concatenate([there, velocities[rows]], axis=1)).T
+        else:
+            slopes = powers * u ** np.maximum(powers - 1, 0)
+            values = np.concatenate([there, velocities[rows] * half])
+            out[i, :3] = np.linalg.solve(np.concatenate([u**powers, slopes]), values).T
+            out[i, 3:, :-1] = out[i, :3, 1:] * powers[1:] / half
+        out[i, :3, 0] += positions[i]
     return out

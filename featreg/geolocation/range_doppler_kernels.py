@@ -1,6 +1,6 @@
 """Loops of the range-Doppler equations over points: states of an orbit, zero-Doppler times, points on the ground.
 
-An orbit is given by its `knots` (M,) in seconds and `pieces` (M - 1, 3, K), see `featreg.geolocation.orbit.Orbit`. A
+An orbit is given by its `knots` (M,) in seconds and `pieces` (M - 1, 6, K), see `featreg.geolocation.orbit.Orbit`. A
 state is nine numbers: position, velocity, acceleration.
 """
 
@@ -33,15 +33,14 @@ def state(knots: FloatArray, pieces: FloatArray, t: float, out: FloatArray) -> N
     half = 0.5 * (knots[low + 1] - knots[low])
     u = (t - 0.5 * (knots[low] + knots[low + 1])) / half
     count = pieces.shape[2]
-    for axis in range(3):
-        value, slope, bend = 0.0, 0.0, 0.0
+    for axis in range(6):
+        value, slope = 0.0, 0.0
         for k in range(count - 1, -1, -1):
-            bend = bend * u + slope
             slope = slope * u + value
             value = value * u + pieces[low, axis, k]
         out[axis] = value
-        out[3 + axis] = slope / half
-        out[6 + axis] = 2.0 * bend / (half * half)
+        if axis >= 3:
+            out[3 + axis] = slope / half
 
 
 @compiled
