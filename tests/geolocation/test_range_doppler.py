@@ -100,11 +100,11 @@ class TestOrbit:
     def test_velocities_are_those_that_are_stated_also_between_the_vectors(self) -> None:
         knots = np.asarray(np.arange(-4, 5) * 10.0, np.float64)
         position, velocity = states(knots)
-        stated = velocity + [0.02, -0.01, 0.015]
+        odd = np.array([0.02, -0.01, 0.015])
         t: FloatArray = np.linspace(-20.0, 20.0, 81)
-        found, speed = Orbit(knots, position, stated).at(t)
+        found, speed = Orbit(knots, position, velocity + odd).at(t)
         assert np.abs(found - states(t)[0]).max() < 1e-4
-        assert np.abs(speed - states(t)[1] - [0.02, -0.01, 0.015]).max() < 1e-4
+        assert np.abs(speed - states(t)[1] - odd).max() < 1e-4
 
     def test_two_vectors_will_do(self) -> None:
         knots = np.array([0.0, 10.0])
