@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -21,7 +22,8 @@ class Projection:
     Raises
     ------
     InputError
-        The coordinate system is unknown.
+        The coordinate system is unknown, or no way leads from it to longitude and latitude, as from a local one of a
+        site or an image.
     """
 
     crs: str
@@ -40,6 +42,8 @@ class Projection:
             except CRSError as error:
                 check_proj()
                 raise InputError(f"unknown coordinate system {self.crs!r:.80}") from error
+        if not same and (why := _unreachable(self.crs)):
+            raise InputError(f"coordinate system {self.crs!r:.80} does not lead to longitude and latitude ({why:.120})")
         object.__setattr__(self, "_plain", same)
         object.__setattr__(self, "_turn", 2 * math.pi / known.units_factor[1] if geographic else 0.0)
 
@@ -69,6 +73,19 @@ class Projection:
     def from_lonlat(self, lonlat: FloatArray) -> FloatArray:
         """Return (N, 2) map coordinates of (N, 2) longitude and latitude in degrees; NaN where there are none."""
         return np.array(lonlat, np.float64) if self.is_plain else _through(WGS84, self.crs, lonlat)
+
+
+@lru_cache(maxsize=256)
+def _unreachable(crs: str) -> str:
+    """Why points of a coordinate system have no longitude and latitude; "" where they have."""
+    from rasterio import Env
+
+    try:
+        with Env():
+            _through(crs, WGS84, np.zeros((1, 2)))
+    except Exception as error:  # GDAL's errors come in classes that rasterio does not publish
+        return " ".join(str(error).split()) or type(error).__name__
+    return ""
 
 
 def near(longitudes: FloatArray, middle: float, turn: float) -> FloatArray:

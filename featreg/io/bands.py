@@ -83,7 +83,8 @@ def choose(bands: Sequence[Band], asked: BandLike, source: str) -> Choice:
 
 
 def _only(bands: Sequence[Band], source: str) -> Choice:
-    data = [i for i, band in enumerate(bands) if band.role != "alpha"]
+    data = [i for i, band in enumerate(bands) if band.role not in ("alpha", "coordinate")]
+    data = data or list(range(len(bands)))
     if len(data) == 1:
         return Choice("one", (data[0],))
     if len(data) == 3 and (colours := _colours(bands, data)) is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
@@ -16,6 +17,8 @@ from featreg.io.bands import COLOURS, luminance
 from featreg.io.calibration import Calibration
 from featreg.io.gdal_drivers import BY_NAME
 from featreg.io.gdal_errors import GDAL_OPTIONS, decoding, quiet, reason
+from featreg.io.nodata import holds_nodata
+from featreg.io.plausible import ANY_BYTES, check_size, sample_bytes
 from featreg.io.products.sentinel1_tops import TopsTerms
 from featreg.io.products.stated import stated_calibration, stated_sensor, stated_tops
 from featreg.io.reader import Band, Raster
@@ -28,6 +31,11 @@ from featreg.types import BoolArray, Geolocation
 CACHE_BYTES = 64 << 20
 #: Bands of a file; hyperspectral ones have some hundred, a damaged header may state 65 535.
 MOST_BANDS = 4096
+
+#: Map units a pixel, below which a geotransform is none.
+SMALLEST_STEP = 1e-100
+#: The name of a member of an archive, as it is given to GDAL here.
+ARCHIVE = re.compile(r"/vsizip/\{(.+?)\}/.*", re.DOTALL)
 
 logger = logging.getLogger("featreg.io")
 
@@ -99,7 +107,8 @@ class GdalReader:
 
     @property
     def files(self) -> Sequence[str]:
-        return [name for name in self.reached if not name.startswith("/vsi")]
+        found = [ARCHIVE.sub(r"\1", name) for name in self.reached]
+        return [name for name in dict.fromkeys(found) if not name.startswith("/vsi")]
 
     @property
     def reached(self) -> Sequence[str]:
@@ -122,14 +131,18 @@ class GdalReader:
         from rasterio.windows import Window as RasterioWindow
 
         box = None if window is None else RasterioWindow(window.x, window.y, window.width, window.height)
-        known, dataset = self.bands[band], self.dataset
+        known, dataset, nodata = self.bands[band], self.dataset, self.bands[band].nodata
         with quiet(), rasterio.Env(**GDAL_OPTIONS, GDAL_CACHEMAX=CACHE_BYTES), decoding(self.called, self.title):
+            self._check_block(band)
             samples = dataset.read(band + 1, window=box)
             mask = self._shown(band + 1, box)
-            if dataset.colorinterp[band] == ColorInterp.palette:
-                samples, opaque = _through_palette(samples, dataset.colormap(band + 1))
-                mask = opaque if mask is None else mask & opaque
-        return Raster(samples, known.dtype, mask, known.nodata, known.gain, known.offset, said=known.said)
+            # Colours of signed numbers are for display: those of elevations.
+            if dataset.colorinterp[band] == ColorInterp.palette and samples.dtype.kind == "u":
+                hole = holds_nodata(samples, nodata)
+                samples, shown = _through_palette(samples, dataset.colormap(band + 1))
+                shown = shown if hole is None else shown & ~hole
+                mask, nodata = shown if mask is None else mask & shown, None
+        return Raster(samples, known.dtype, mask, nodata, known.gain, known.offset, said=known.said)
 
     def calibration(self, band: int) -> Calibration | None:
         """What the metadata of its product state; RADARSAT-2 is calibrated by GDAL itself, under another name."""
@@ -153,17 +166,28 @@ class GdalReader:
     def close(self) -> None:
         self.dataset.close()
 
+    @cached_property
+    def _blocks(self) -> list[tuple[int, int]]:
+        return list(self.dataset.block_shapes)
+
+    def _check_block(self, band: int) -> None:
+        """Raise where one block, which is read as a whole however small the window, is more than the file can hold."""
+        (height, width), each = self._blocks[band], sample_bytes(self.bands[band].dtype)
+        if height * width * each > ANY_BYTES:
+            check_size(self.called, (height, width), each, self.files, "pixels in one block")
+
     def _shown(self, band: int, box: Any) -> BoolArray | None:
         """(H, W) what the file's mask band or alpha band shows of one of its bands; None where it has neither.
 
-        GDAL's own mask leaves out an alpha band where the band also has a nodata value, which the caller compares.
+        GDAL's own mask leaves out an alpha band where the band also has a nodata value, which the caller compares. A
+        band may have a mask of its own, which has no flag.
         """
         from rasterio.enums import ColorInterp, MaskFlags
 
         dataset = self.dataset
         flags = dataset.mask_flag_enums[band - 1]
         mask: BoolArray | None = None
-        if MaskFlags.per_dataset in flags or MaskFlags.alpha in flags:
+        if not flags or MaskFlags.per_dataset in flags or MaskFlags.alpha in flags:
             mask = dataset.read_masks(band, window=box) != 0
         if MaskFlags.alpha not in flags and ColorInterp.alpha in dataset.colorinterp:
             opaque = dataset.read(dataset.colorinterp.index(ColorInterp.alpha) + 1, window=box) != 0
@@ -217,6 +241,12 @@ def _through_palette(samples: NDArray[Any], palette: dict[int, Any]) -> tuple[ND
     return gray[samples], table[samples, 3] > 0
 
 
+def _is_nothing(transform: tuple[float, ...]) -> bool:
+    """Whether a geotransform is none: drivers of GDAL that have none may leave what the memory held before."""
+    slopes = np.abs([transform[0], transform[1], transform[3], transform[4]])
+    return not (np.isfinite(transform).all() and float(slopes.max()) > SMALLEST_STEP)
+
+
 def geolocation_of(dataset: Any, called: str) -> Geolocation | None:
     """Return where an open dataset says it lies, or None where it says nothing."""
     gcps, gcp_crs = dataset.gcps
@@ -230,8 +260,9 @@ def geolocation_of(dataset: Any, called: str) -> Geolocation | None:
             reason(error),
         )
         rpcs = None
+    transform = tuple(dataset.transform)[:6]
     located = Geolocation(
-        transform=None if dataset.transform.is_identity else tuple(dataset.transform)[:6],
+        transform=None if dataset.transform.is_identity or _is_nothing(transform) else transform,
         crs=crs.to_wkt() if crs else None,
         rpcs=rpcs,
         # GDAL counts from the corner of the first pixel, we from its centre.

@@ -13,17 +13,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import InputError
+from featreg.io.cf_places import (
+    ALONG_X,
+    ALONG_Y,
+    LATITUDE,
+    LONGITUDE,
+    direction,
+    factor_of,
+    number_of,
+    numbers_of,
+    system_by_parameters,
+    text_of,
+    turns,
+    unwritten,
+    valid_ends,
+)
 from featreg.io.gdal_errors import decoding
 from featreg.io.reader import Band, Raster
 from featreg.io.scales import scale_in_words
 from featreg.io.window import Window
 from featreg.types import BoolArray, FloatArray, Geolocation
 
-#: Names of coordinates along x and along y, in map units and in degrees.
-ALONG_X, ALONG_Y = ("x", "xcoordinates", "easting", "eastings", "projection_x_coordinate"), (
-    "y", "ycoordinates", "northing", "northings", "projection_y_coordinate",
-)  # fmt: skip
-LONGITUDE, LATITUDE = ("lon", "longitude", "long"), ("lat", "latitude")
 #: Where a coordinate system stands.
 SYSTEMS = ("spatial_ref", "crs", "projection", "grid_mapping", "polar_stereographic", "transverse_mercator")
 #: Coordinates count as evenly spaced where none lies farther off than this share of a step.
@@ -47,6 +57,7 @@ class Variable:
     attributes : by name
     read : called with a slice for each axis
     dimensions : full paths of the coordinate variables of its axes, "" where there is none
+    fill : the value that stands where nothing was written, if the file knows one
     """
 
     name: str
@@ -55,6 +66,7 @@ class Variable:
     attributes: Mapping[str, Any]
     read: Callable[[tuple[Any, ...]], NDArray[Any]]
     dimensions: Sequence[str] = field(default=())
+    fill: float | None = None
 
     @cached_property
     def parts(self) -> tuple[str, str] | None:
@@ -96,7 +108,8 @@ class GriddedReader:
     driver : "HDF5" or "netCDF"
     variables : by full path
     close : what closes the file
-    turned : whether the axes are stored as columns, rows, as MATLAB does
+    turned : whether the axes of all variables are stored as columns, rows, as MATLAB does; what lies along y and x by
+        its coordinates is turned one by one
     """
 
     whole = False
@@ -114,12 +127,21 @@ class GriddedReader:
         self.called, self.driver, self._variables, self._close, self._turned = called, driver, variables, close, turned
         self.files: Sequence[str] = [called]
         self._images = [variable for variable in variables.values() if variable.is_image]
+        self._turns = [turned or self._directions(variable) == ("x", "y") for variable in self._images]
+
+    def _directions(self, image: Variable) -> tuple[str, str]:
+        """Along which axis of a map each of the two last axes of a variable runs, as its coordinates say it."""
+        if len(image.dimensions) != len(image.shape):
+            return "", ""
+        named = [self._variables.get(path) for path in image.dimensions[-2:]]
+        first, second = ("" if one is None else direction(one.name, one.attributes) for one in named)
+        return first, second
 
     @cached_property
     def bands(self) -> Sequence[Band]:
         found = []
-        for variable in self._images:
-            height, width = variable.shape[-2:][:: -1 if self._turned else 1]
+        for variable, turned in zip(self._images, self._turns, strict=True):
+            height, width = variable.shape[-2:][:: -1 if turned else 1]
             attributes = variable.attributes
             words = [text_of(attributes.get(name)) for name in ("units", "long_name", "standard_name", "description")]
             found.append(
@@ -127,6 +149,7 @@ class GriddedReader:
                     variable.name.lstrip("/"),
                     (height, width),
                     _dtype_name(variable),
+                    "coordinate" if direction(variable.name, attributes) else "",
                     said=scale_in_words(variable.name.rpartition("/")[2], *words),
                     nodata=_hole(variable),
                     gain=_or(number_of(attributes.get("scale_factor")), 1.0),
@@ -140,10 +163,9 @@ class GriddedReader:
         window = window or Window(0, 0, known.shape[1], known.shape[0])
         rows, cols = slice(window.y, window.y + window.height), slice(window.x, window.x + window.width)
         with decoding(self.called, self.driver):
-            axes = (cols, rows) if self._turned else (rows, cols)
-            variable = self._images[band]
-            samples = variable.samples(*axes)
-            samples = np.ascontiguousarray(samples.T) if self._turned else samples
+            variable, turned = self._images[band], self._turns[band]
+            samples = variable.samples(*((cols, rows) if turned else (rows, cols)))
+            samples = np.ascontiguousarray(samples.T) if turned else samples
         shown = within_range(samples, variable.attributes, variable.dtype, variable.unsigned)
         return Raster(samples, known.dtype, shown, known.nodata, known.gain, known.offset, said=known.said)
 
@@ -157,7 +179,7 @@ class GriddedReader:
         if self._turned:
             return None
         with decoding(self.called, self.driver):
-            located = self._located(self._images[band])
+            located = self._located(self._images[band], self.bands[band].shape, self._turns[band])
             try:
                 sensor = self._sensor(self._images[band].name)
             except InputError as error:
@@ -172,33 +194,52 @@ class GriddedReader:
                 return located
             return replace(located or Geolocation(), sensor=sensor)
 
-    def _located(self, image: Variable) -> Geolocation | None:
-        height, width = image.shape[-2:]
+    def _located(self, image: Variable, shape: tuple[int, int], turned: bool) -> Geolocation | None:
+        along_x, along_y = (-2, -1) if turned else (-1, -2)
         for names_x, names_y, degrees in ((ALONG_X, ALONG_Y, False), (LONGITUDE, LATITUDE, True)):
-            x, y = (
-                self._vector(image, names, axis, length)
-                for names, axis, length in ((names_x, -1, width), (names_y, -2, height))
-            )
+            x = self._vector(image, names_x, along_x, shape[1])
+            y = self._vector(image, names_y, along_y, shape[0])
             if x is None or y is None:
                 continue
-            steps = [_even(values) for values in (x, y)]
-            if steps[0] is None or steps[1] is None:
+            mapping = self._mapping(image)
+            known = {} if mapping is None else mapping.attributes
+            crs = None if mapping is None else self._system_of(mapping)
+            factors = [1.0 if degrees else factor_of(unit, crs, known) for _, unit in (x, y)]
+            if None in factors:
+                logger.warning(
+                    "%s: the coordinates of %s are angles and nothing says from what height, so where it lies is left "
+                    "out",
+                    self.called,
+                    image.name,
+                )
+                return None
+            east, north = (
+                (turns(values) if degrees and axis == 0 else values) * (factors[axis] or 1.0)
+                for axis, (values, _) in enumerate((x, y))
+            )
+            dx, dy = _even(east), _even(north)
+            if dx is None or dy is None:
                 logger.warning(
                     "%s: the coordinates of %s are not evenly spaced, so where it lies is left out",
                     self.called, image.name,
                 )  # fmt: skip
                 return None
-            dx, dy = steps[0], steps[1]
-            corner = float(x[0]) - dx / 2, float(y[0]) - dy / 2
-            crs = self._system(image) or ("EPSG:4326" if degrees else None)
+            corner = float(east[0]) - dx / 2, float(north[0]) - dy / 2
+            crs = crs or ("EPSG:4326" if degrees else None)
             return Geolocation(transform=(dx, 0.0, corner[0], 0.0, dy, corner[1]), crs=crs)
-        return self._by_pixels(image)
+        return None if turned else self._by_pixels(image)
 
-    def _vector(self, image: Variable, names: Sequence[str], axis: int, length: int) -> FloatArray | None:
-        """The coordinates along an axis: those of its dimension, or of a variable of a known name beside or above."""
+    def _vector(self, image: Variable, names: Sequence[str], axis: int, length: int) -> tuple[FloatArray, str] | None:
+        """Coordinates along an axis and their unit: of its dimension, or of a variable of a known name beside or above.
+
+        A dimension's counts where its own name or its standard name says what it is.
+        """
         candidates = []
         if len(image.dimensions) == len(image.shape) and (named := image.dimensions[axis]):
-            candidates += [named] if named.rpartition("/")[2].lower() in names else []
+            standard = (
+                text_of(self._variables[named].attributes.get("standard_name")) if named in self._variables else ""
+            )
+            candidates += [named] if {named.rpartition("/")[2].lower(), standard.lower()} & set(names) else []
         for folder in _folders(image.name):
             candidates += [path for path in self._in(folder) if path.rpartition("/")[2].lower() in names]
         for path in candidates:
@@ -208,31 +249,35 @@ class GriddedReader:
             if variable.dtype.kind in "uif":
                 values = np.asarray(variable.read((slice(None),)), np.float64)
                 gain, offset = (number_of(variable.attributes.get(n)) for n in ("scale_factor", "add_offset"))
-                values = values * _or(gain, 1.0) + _or(offset, 0.0)
+                with np.errstate(all="ignore"):
+                    values = values * _or(gain, 1.0) + _or(offset, 0.0)
                 if np.isfinite(values).all():
-                    return values
+                    return values, text_of(variable.attributes.get("units"))
         return None
 
     def _in(self, folder: str) -> list[str]:
         return [path for path in self._variables if posixpath.dirname(path) == folder]
 
-    def _system(self, image: Variable) -> str | None:
-        """The coordinate system: of the grid mapping that is named, or of a variable of a usual name."""
+    def _mapping(self, image: Variable) -> Variable | None:
+        """The variable that holds the coordinate system: the grid mapping that is named, or one of a usual name."""
         named = text_of(image.attributes.get("grid_mapping")).partition(":")[0].strip()
         wanted = [named.rpartition("/")[2].lower()] if named else list(SYSTEMS)
-        for folder in _folders(image.name):
-            for path in self._in(folder):
-                if path.rpartition("/")[2].lower() in wanted:
-                    crs = self._system_of(self._variables[path])
-                    if crs is not None:
-                        return crs
-        return None
+        found = [
+            self._variables[path]
+            for folder in _folders(image.name)
+            for path in self._in(folder)
+            if path.rpartition("/")[2].lower() in wanted
+        ]
+        return next((one for one in found if self._says_system(one)), found[0] if found else None)
+
+    def _says_system(self, variable: Variable) -> bool:
+        return bool(text_of(variable.attributes.get("grid_mapping_name"))) or self._system_of(variable) is not None
 
     def _system_of(self, variable: Variable) -> str | None:
         from rasterio.crs import CRS
         from rasterio.errors import CRSError
 
-        said = [text_of(variable.attributes.get(name)) for name in ("crs_wkt", "spatial_ref", "proj4")]
+        said = [text_of(variable.attributes.get(name)) for name in ("crs_wkt", "spatial_ref", "proj4", "proj4_string")]
         code = number_of(variable.attributes.get("epsg_code", variable.attributes.get("epsg")))
         if code is None and not any(said) and variable.shape in ((), (1,)) and variable.dtype.kind in "iu":
             value = int(np.asarray(variable.read(tuple(slice(None) for _ in variable.shape))).ravel()[0])
@@ -246,7 +291,8 @@ class GriddedReader:
                     return str(CRS.from_user_input(text).to_wkt())
                 except (CRSError, ValueError):
                     continue
-        return None
+        described = system_by_parameters(self.called, variable.attributes)
+        return None if described is None else str(CRS.from_user_input(described).to_wkt())
 
     def _by_pixels(self, image: Variable) -> Geolocation | None:
         height, width = image.shape[-2:]
@@ -308,15 +354,12 @@ def within_range(
     """Return which samples the conventions of netCDF take for data; None where nothing but a fill value is stated.
 
     Besides `_FillValue` these know `missing_value`, one or several, and `valid_min`, `valid_max` or `valid_range`; all
-    are compared with the samples as they are stored, before scale and offset.
+    are compared with the samples as they are stored, before scale and offset; see `valid_ends`.
     """
-    low, high = (number_of(attributes.get(f"valid_{end}")) for end in ("min", "max"))
-    ends = _numbers(attributes.get("valid_range"))
-    if len(ends) == 2:
-        low, high = ends
+    low, high = valid_ends(attributes, samples)
     turn = 256.0**dtype.itemsize if unsigned else 0.0
     low, high = (end + turn if end is not None and end < 0 else end for end in (low, high))
-    missing = [value + turn if value < 0 else value for value in _numbers(attributes.get("missing_value"))]
+    missing = [value + turn if value < 0 else value for value in numbers_of(attributes.get("missing_value"))]
     if samples.dtype.kind == "c" or (low is None and high is None and not missing):
         return None
     shown = np.ones(samples.shape, np.bool_)
@@ -331,41 +374,16 @@ def within_range(
     return shown
 
 
-def _numbers(value: Any) -> list[float]:
-    """The numbers that an attribute holds, none where it holds something else."""
-    try:
-        found = np.asarray(value)
-        return [float(v) for v in found.ravel()] if found.dtype.kind in "uif" and found.size <= 64 else []
-    except (TypeError, ValueError):
-        return []
-
-
 def _hole(variable: Variable) -> float | None:
     """The value of samples that are not data, as the samples are read."""
     value = _first(variable.attributes, "_FillValue", "missing_value", "nodata")
+    if value is None and variable.fill is not None and variable.fill == unwritten(variable.dtype):
+        return variable.fill
     return value + 256.0**variable.dtype.itemsize if value is not None and value < 0 and variable.unsigned else value
 
 
 def _or(value: float | None, other: float) -> float:
     return other if value is None else value
-
-
-def number_of(value: Any) -> float | None:
-    """The one number that an attribute holds, else None."""
-    try:
-        found = np.asarray(value)
-        return float(found.ravel()[0]) if found.size == 1 and found.dtype.kind in "uif" else None
-    except (TypeError, ValueError):
-        return None
-
-
-def text_of(value: Any) -> str:
-    """The text that an attribute holds, else ""."""
-    if isinstance(value, np.ndarray) and value.size == 1:
-        value = value.ravel()[0]
-    if isinstance(value, bytes):
-        return value.decode("utf-8", "replace")
-    return value if isinstance(value, str) else ""
 
 
 def missing(path: Any, extra: str, library: str, what: str, error: ImportError) -> InputError:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from featreg.errors import InputError
+from featreg.io.cf_places import unwritten
 from featreg.io.gdal_errors import decoding
 from featreg.io.gridded import GriddedReader, Variable, missing
 from featreg.io.products.nisar import sensor_of_nisar
@@ -20,14 +21,20 @@ MOST_OBJECTS = 20_000
 
 
 def is_hdf5(path: Path, head: bytes) -> bool:
-    """Whether a file is HDF5; its signature may stand behind a user block, as in MATLAB 7.3."""
-    if head.startswith(SIGNATURE):
-        return True
-    if not head.startswith(b"MATLAB 7.3"):
-        return False
+    """Whether a file is HDF5 at its beginning, or behind a user block as in MATLAB 7.3."""
+    return head.startswith(SIGNATURE) or (head.startswith(b"MATLAB 7.3") and is_behind_user_block(path))
+
+
+def is_behind_user_block(path: Path) -> bool:
+    """Whether the signature of HDF5 stands where a user block may end: at byte 512, 1024, 2048, ..."""
     with path.open("rb") as file:
-        file.seek(512)
-        return file.read(8) == SIGNATURE
+        place, size = 512, path.stat().st_size
+        while place < size:
+            file.seek(place)
+            if file.read(len(SIGNATURE)) == SIGNATURE:
+                return True
+            place *= 2
+    return False
 
 
 def is_classic_netcdf(head: bytes) -> bool:
@@ -75,11 +82,12 @@ def _variables(h5py: Any, file: Any, path: Path) -> tuple[dict[str, Variable], b
         try:
             shape, dtype = tuple(item.shape or ()), item.dtype
             attributes = {key: _attribute(item, key) for key in item.attrs}
+            fill = float(item.fillvalue) if dtype.kind in "if" else None
             scales = ["".join([s.name for s in d.values()][:1]) for d in item.dims] if shape else []
         except (OSError, RuntimeError, TypeError, ValueError, KeyError, OverflowError):
             return
         matlab = matlab or "MATLAB_class" in attributes
-        found[f"/{name}"] = Variable(f"/{name}", shape, dtype, attributes, item.__getitem__, scales)
+        found[f"/{name}"] = Variable(f"/{name}", shape, dtype, attributes, item.__getitem__, scales, fill)
 
     # Links, soft ones and those to other files, are not followed.
     file.visititems(visit)
@@ -119,7 +127,8 @@ def open_classic_netcdf(path: Path) -> GriddedReader:
             axes = [f"/{d}" if d in file.variables else "" for d in held.dimensions]
             attributes = dict(vars(held).get("_attributes", {}))
             read = _copied(data)
-            variables[f"/{name}"] = Variable(f"/{name}", data.shape, data.dtype, attributes, read, axes)
+            fill = unwritten(data.dtype)
+            variables[f"/{name}"] = Variable(f"/{name}", data.shape, data.dtype, attributes, read, axes, fill)
     return GriddedReader(str(path), "netCDF", variables, lambda: None)
 
 

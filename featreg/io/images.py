@@ -19,7 +19,8 @@ from featreg.io.arrays import count_of, is_array, plain_array
 from featreg.io.bands import BandLike, check_band
 from featreg.io.calibration import check_calibration
 from featreg.io.data_arrays import NAME, DataArrayLike, is_data_array, read_data_array
-from featreg.io.masks import MaskLike, as_mask, holds_nodata
+from featreg.io.masks import MaskLike, as_mask
+from featreg.io.nodata import holds_nodata
 from featreg.io.opening import read_raster, read_small_raster
 from featreg.io.reader import Raster, physical
 from featreg.io.scales import SCALES, NoContentError, check_content, complex_pixels, real_pixels

@@ -1,17 +1,17 @@
-"""Which pixels are data: masks from arrays, mask files and polygons, and the pixels that hold a nodata value."""
+"""Which pixels are data: masks from arrays, mask files and polygons."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from numbers import Number
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from featreg.errors import InputError, ParameterError
+from featreg.errors import InputError
 from featreg.io.arrays import is_array, plain_array
+from featreg.io.nodata import holds_nodata
 from featreg.io.opening import read_raster
 from featreg.types import BoolArray, FloatArray
 
@@ -96,30 +96,3 @@ def inside_polygons(polygons: Sequence[FloatArray], shape: tuple[int, int]) -> B
                 flips[rows, np.clip(crossing, 0, width).astype(int)] ^= 1
         inside |= np.bitwise_xor.accumulate(flips, axis=1)[:, :width].astype(np.bool_)
     return inside
-
-
-def holds_nodata(samples: NDArray[Any], nodata: complex | None) -> BoolArray | None:
-    """Return an (H, W) bool array of the samples that equal `nodata`, or None where none can.
-
-    NaN is never data anyway. A complex sample is nodata where its real part is and its imaginary part is either 0 or
-    nodata too: files write both.
-    """
-    if nodata is None:
-        return None
-    if not isinstance(nodata, Number) or isinstance(nodata, bool):
-        raise ParameterError(f"nodata must be one number, got {nodata!r}")
-    kind = samples.dtype.kind
-    if np.isnan(nodata) or (kind != "c" and complex(nodata).imag):
-        return None
-    if kind in "iu":
-        if not float(nodata.real).is_integer():
-            return None
-        value = int(nodata.real)
-        limits = np.iinfo(samples.dtype)
-        return np.asarray(samples == samples.dtype.type(value)) if limits.min <= value <= limits.max else None
-    # In the samples' own precision: a float32 file with nodata 0.1 does not hold the double 0.1.
-    with np.errstate(over="ignore"):
-        value = samples.dtype.type(nodata)
-    if kind == "c" and not complex(nodata).imag:
-        return np.asarray((samples.real == value.real) & ((samples.imag == 0) | (samples.imag == value.real)))
-    return np.asarray(samples == value)

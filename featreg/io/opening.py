@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import logging
 import math
-import os
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-
-import numpy as np
 
 from featreg.errors import InputError
 from featreg.io.array_files import open_matlab, open_numpy
 from featreg.io.bands import BandLike, Choice, choose, name_of, read_choice
-from featreg.io.gdal_drivers import DRIVERS, KNOWN, TOLD_BY_GDAL, driver_by_content, drivers_by_suffix
+from featreg.io.gdal_drivers import BY_HEADER, DRIVERS, KNOWN, TOLD_BY_GDAL, driver_by_content, drivers_by_suffix
 from featreg.io.gdal_reader import GdalReader, within_folder
-from featreg.io.hdf5 import is_classic_netcdf, is_hdf5, open_classic_netcdf, open_hdf5
+from featreg.io.hdf5 import is_behind_user_block, is_classic_netcdf, is_hdf5, open_classic_netcdf, open_hdf5
+from featreg.io.plausible import check_size, sample_bytes
 from featreg.io.product_folders import LEADING, MANIFEST, FolderTree, ZipTree, open_member, open_product, open_safe
 from featreg.io.reader import Raster, Reader
 from featreg.io.sicd import SicdReader, standard_of
@@ -23,10 +22,10 @@ from featreg.io.sidd import SiddReader
 from featreg.io.source_names import SourceName, check_file, check_utf8, parse_source
 from featreg.io.vrt import check_vrt, is_vrt
 
-#: What a file may grow to where it is read whole: so many bytes in any case, and so many times its own size (deflate
-#: packs 1032 times at most).
-ANY_BYTES, MOST_PACKED = 256 << 20, 1100
 ZIP = (b"PK\x03\x04", b"PK\x05\x06")
+
+#: Endings of what lies beside images and describes them.
+DESCRIBES = (".clr", ".prj", ".stx", ".sta", ".tfw", ".wld", ".blw", ".rsc", ".aux.xml", ".kml", ".rdc", ".sgrd")
 
 logger = logging.getLogger("featreg.io")
 
@@ -124,15 +123,30 @@ def _by_what_lies_beside(path: Path, head: bytes) -> Reader:
     for pattern, driver in LEADING:
         if pattern.fullmatch(path.name):
             return within_folder(path, GdalReader(str(path.absolute()), [driver], str(path)))
+    if path.name.lower().endswith(DESCRIBES):
+        raise InputError(f"{path}: describes an image; give the image beside it, which shares its name")
     if path.suffix.lower() == ".hdr":
-        raise InputError(_unknown(path))
+        return _told(path, BY_HEADER, _unknown(path))
+    if is_behind_user_block(path):
+        return open_hdf5(path)
     likely = [driver for driver, sidecar in _sidecars(path) if sidecar.is_file()]
+    said = _unknown(path)
     if likely:
-        return within_folder(path, GdalReader(str(path.absolute()), likely, str(path)))
+        try:
+            reader = GdalReader(str(path.absolute()), likely, str(path))
+        except InputError as error:
+            said = str(error)
+        else:
+            return within_folder(path, reader)
+    return _told(path, TOLD_BY_GDAL, said)
+
+
+def _told(path: Path, drivers: Sequence[str], otherwise: str) -> Reader:
+    """What GDAL takes a file for; an `InputError` that says `otherwise` where none of the drivers takes it."""
     try:
-        reader = GdalReader(str(path.absolute()), TOLD_BY_GDAL, str(path))
+        reader = GdalReader(str(path.absolute()), drivers, str(path))
     except InputError as error:
-        raise InputError(_unknown(path)) from error
+        raise InputError(otherwise) from error
     return within_folder(path, reader)
 
 
@@ -200,13 +214,4 @@ def read_small_raster(
 def check_plausible(source: str | Path, reader: Reader, choice: Choice) -> None:
     """Raise where a file states far more samples than its bytes can hold, before memory is taken for them."""
     first = reader.bands[choice.bands[0]]
-    size = 8 if first.dtype == "complex_int16" else np.dtype(first.dtype).itemsize
-    wanted = first.shape[0] * first.shape[1] * size * len(choice.bands)
-    if wanted <= ANY_BYTES:
-        return
-    held = sum(os.path.getsize(file) for file in reader.files if os.path.isfile(file))
-    if held and wanted > MOST_PACKED * held:
-        raise InputError(
-            f"{source}: states {first.shape[1]} x {first.shape[0]} pixels ({wanted / 1e9:.1f} GB) in {held} bytes: its "
-            "header is damaged, or it is a scene without content"
-        )
+    check_size(str(source), first.shape, sample_bytes(first.dtype) * len(choice.bands), reader.files)

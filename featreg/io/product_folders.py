@@ -18,9 +18,10 @@ from xml.etree import ElementTree
 
 from featreg.errors import InputError
 from featreg.io.calibration import Calibration, calibration_of
-from featreg.io.gdal_drivers import DRIVERS, driver_by_content
+from featreg.io.gdal_drivers import DRIVERS, TOLD_BY_GDAL, driver_by_content
 from featreg.io.gdal_errors import decoding
 from featreg.io.gdal_reader import GdalReader, within_archive, within_folder
+from featreg.io.plausible import check_size, sample_bytes
 from featreg.io.products.sentinel1_tops import TopsTerms, tops_of
 from featreg.io.reader import Band, Raster, Reader
 from featreg.io.window import Window
@@ -190,10 +191,16 @@ def open_member(tree: Tree, name: str | None) -> Reader:
         name = images[0]
     place = tree.gdal_name(name)
     driver = driver_by_content(tree.content(name, 1024))
-    if driver is not None:
-        return within_archive(tree.called, GdalReader(place, [driver.name], f"{tree.called}:{name}"))
-    beside = ("ENVI", "ISCE", "ROI_PAC", "EHdr")
-    return within_archive(tree.called, GdalReader(place, beside, f"{tree.called}:{name}"))
+    drivers = TOLD_BY_GDAL if driver is None else (driver.name,)
+    reader = within_archive(tree.called, GdalReader(place, drivers, f"{tree.called}:{name}"))
+    try:
+        # What is packed twice may state anything, and each window of it would be unpacked from the beginning.
+        for band in reader.bands[:1]:
+            check_size(reader.called, band.shape, sample_bytes(band.dtype), reader.files)
+    except InputError:
+        reader.close()
+        raise
+    return reader
 
 
 def open_safe(tree: Tree, manifest: str) -> Reader:
@@ -221,7 +228,9 @@ def open_safe(tree: Tree, manifest: str) -> Reader:
         raise InputError(f"{where} names files outside the product, which is refused")
     files = list(dict.fromkeys(files))[:MOST_MEASUREMENTS]
     if not files:
-        raise InputError(f"{where} names no measurement; products of Sentinel-1 and Sentinel-2 are read")
+        raise InputError(
+            f"{where} names no measurement; products of Sentinel-1, Sentinel-2 and RADARSAT Constellation are read"
+        )
     # Who needs one polarisation or swath often has no other.
     present = [file for file in files if tree.holds(file)]
     if not present:
@@ -244,7 +253,7 @@ def open_safe(tree: Tree, manifest: str) -> Reader:
 
 def _measures(href: str) -> bool:
     folders = href.replace("\\", "/").split("/")[:-1]
-    return "measurement" in folders or "IMG_DATA" in folders
+    return any(name in folders for name in ("measurement", "IMG_DATA", "imagery"))
 
 
 def measurement_name(file: str) -> str:

@@ -18,7 +18,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from featreg.io.bands import BandLike, Choice, choose, name_of, read_choice
-from featreg.io.masks import holds_nodata
+from featreg.io.nodata import holds_nodata
 from featreg.io.opening import band_asked, check_plausible, open_reader
 from featreg.io.product_folders import MANIFEST
 from featreg.io.reader import Band, Raster, Reader, physical

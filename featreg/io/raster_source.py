@@ -20,7 +20,8 @@ from featreg.io.bands import BandLike, check_band
 from featreg.io.calibration import check_calibration
 from featreg.io.data_arrays import is_data_array
 from featreg.io.gdal_reader import CACHE_BYTES
-from featreg.io.masks import MaskLike, holds_nodata, inside_polygons, polygons_of
+from featreg.io.masks import MaskLike, inside_polygons, polygons_of
+from featreg.io.nodata import holds_nodata
 from featreg.io.raster_files import Head, absolute_name, files_of, inferred_scale, read_head, read_samples, stamp_of
 from featreg.io.reader import Raster
 from featreg.io.scales import SCALES

@@ -22,7 +22,8 @@ class Band:
     name : what it may be asked for by: a polarisation, the path of a dataset; "" where the file gives it none
     shape : (H, W)
     dtype : of the samples in the file; complex integers as "complex_int16"
-    role : "red", "green", "blue" or "alpha" where the file says so, else ""
+    role : "red", "green", "blue" or "alpha" where the file says so, "coordinate" of longitudes and latitudes of every
+        pixel, else ""
     said : the scale that its names and units state, if any; see `featreg.io.scales.scale_in_words`
     nodata : the value of samples that are not data, if the file states one
     gain, offset : value = gain * sample + offset

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from featreg.errors import ParameterError
 from featreg.io.bands import BandLike
-from featreg.io.masks import holds_nodata
+from featreg.io.nodata import holds_nodata
 from featreg.io.reader import Raster, physical
 from featreg.io.scales import complex_pixels, real_pixels
 from featreg.io.window import Window

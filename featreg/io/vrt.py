@@ -14,7 +14,8 @@ from featreg.io.xml_text import DoctypeError, root_of
 #: Bytes of the largest description, files it may name, virtual rasters that may rest on each other.
 LARGEST, MOST_FILES, DEEPEST = 16 << 20, 20_000, 4
 SOURCES = ("SimpleSource", "ComplexSource", "AveragedSource", "KernelFilteredSource")
-BANDS = (None, "VRTSourcedRasterBand", "VRTDerivedRasterBand", "VRTRawRasterBand")
+RAW, WARPED = "VRTRawRasterBand", "VRTWarpedDataset"
+BANDS = (None, "VRTSourcedRasterBand", "VRTDerivedRasterBand", RAW)
 #: What is looked at below. GDAL takes these names in any case, an attribute for an element and the other way round.
 ELEMENTS = (
     *(
@@ -27,7 +28,22 @@ ELEMENTS = (
         "OpenOptions",
         "Metadata",
     ),
-    *("PixelFunctionCode", "PixelFunctionLanguage", "PixelFunctionArguments", "GeoLocTransformer"),
+    *("PixelFunctionCode", "PixelFunctionLanguage", "PixelFunctionArguments", "GeoLocTransformer", "DEMPath"),
+)
+#: What a warped raster may consist of; what else there is may name files (a height model, arrays of coordinates).
+WARPS = frozenset(
+    (
+        *("VRTDataset", "SRS", "GeoTransform", "GCPList", "GCP", "Metadata", "MDI", "BlockXSize", "BlockYSize"),
+        *("VRTRasterBand", "NoDataValue", "ColorInterp", "ColorTable", "Entry", "Description", "UnitType", "Offset"),
+        *("Scale", "GDALWarpOptions", "WarpMemoryLimit", "ResampleAlg", "WorkingDataType", "Option", "SourceDataset"),
+        *("Transformer", "ApproxTransformer", "MaxError", "BaseTransformer", "GenImgProjTransformer"),
+        *("SrcGeoTransform", "SrcInvGeoTransform", "DstGeoTransform", "DstInvGeoTransform", "ReprojectTransformer"),
+        *("ReprojectionTransformer", "SourceSRS", "TargetSRS", "Options", "SrcGCPTransformer", "GCPTransformer"),
+        *("Order", "Reversed", "Refine", "MinimumGcps", "Tolerance", "SrcTPSTransformer", "TPSTransformer"),
+        *("SrcRPCTransformer", "RPCTransformer", "HeightOffset", "HeightScale", "PixErrThreshold", "BandList"),
+        *("BandMapping", "SrcNoDataReal", "SrcNoDataImag", "DstNoDataReal", "DstNoDataImag", "SrcAlphaBand"),
+        *("DstAlphaBand", "Cutline", "CutlineBlendDist", "OverviewList", "SrcOvrLevel", "InputPixelType"),
+    )
 )
 ATTRIBUTES = ("subClass", "relativeToVRT", "relativetoVRT", "key", "domain")
 #: Names that GDAL does not take for those of files: its own folders, XML, prefixes of drivers, addresses; and those
@@ -43,12 +59,12 @@ def is_vrt(head: bytes) -> bool:
 
 
 def check_vrt(path: Path, depth: int = 0, folder: Path | None = None) -> None:
-    """Raise where a virtual raster is more than bands put together from images in its own folder or below.
+    """Raise where a virtual raster is more than bands put together, or warped, from images in its own folder or below.
 
     Raises
     ------
     InputError
-        It runs code, warps, names an address or a file elsewhere, names a file that is no image, or cannot be read.
+        It runs code, names an address or a file elsewhere, names a file that is no image, or cannot be read.
     """
     home = path.parent.resolve() if folder is None else folder
     if depth > DEEPEST:
@@ -58,11 +74,15 @@ def check_vrt(path: Path, depth: int = 0, folder: Path | None = None) -> None:
     if odd:
         raise InputError(f"{path}: is a virtual raster that spells '{odd[:40]}' oddly, which is refused; {_cure(path)}")
     kind = root.get("subClass")
-    if root.tag != "VRTDataset" or kind is not None:
+    if root.tag != "VRTDataset" or kind not in (None, WARPED):
         raise InputError(
             f"{path}: is a virtual raster of the kind {kind or root.tag}, which is not opened; {_cure(path)}"
         )
-    names: set[tuple[str, bool]] = set()
+    more = next((str(element.tag) for element in root.iter() if kind == WARPED and element.tag not in WARPS), "")
+    if more:
+        raise InputError(f"{path}: is a warped raster with a '{more[:40]}', which is refused; {_cure(path)}")
+    bands = (*BANDS, "VRTWarpedRasterBand") if kind == WARPED else BANDS
+    raw = {name for band in root.iter("VRTRasterBand") if band.get("subClass") == RAW for name in _named(band)}
     for element in root.iter():
         if element.tag in ("PixelFunctionCode", "PixelFunctionLanguage", "PixelFunctionArguments"):
             language = (element.text or "").strip().lower()
@@ -70,20 +90,19 @@ def check_vrt(path: Path, depth: int = 0, folder: Path | None = None) -> None:
                 raise InputError(
                     f"{path}: is a virtual raster that runs code ({element.tag}), which is refused; {_cure(path)}"
                 )
-        elif element.tag in ("VRTRasterBand", "MaskBand") and element.get("subClass") not in BANDS:
+        elif element.tag in ("VRTRasterBand", "MaskBand") and element.get("subClass") not in bands:
             raise InputError(
                 f"{path}: has a band of the kind {element.get('subClass')}, which is refused; {_cure(path)}"
             )
         elif element.tag.endswith("Source") and element.tag not in SOURCES:
             raise InputError(f"{path}: has a source of the kind {element.tag}, which is refused; {_cure(path)}")
-        elif element.tag in ("SourceFilename", "SourceDataset"):
-            names.add((element.text or "", element.get("relativeToVRT", element.get("relativetoVRT")) == "1"))
         elif element.tag in ("OpenOptions", "GeoLocTransformer", "Metadata") and _names_files(element):
             raise InputError(f"{path}: names files in its {element.tag}, which is refused; {_cure(path)}")
+    names = _named(root)
     if len(names) > MOST_FILES:
         raise InputError(f"{path}: names {len(names)} files, at most {MOST_FILES} are opened; {_cure(path)}")
     for name, relative in sorted(names):
-        _check_source(path, home, name, relative, depth)
+        _check_source(path, home, name, relative, depth, image=(name, relative) not in raw)
 
 
 def _parsed(path: Path) -> ElementTree.Element:
@@ -96,6 +115,12 @@ def _parsed(path: Path) -> ElementTree.Element:
         raise InputError(f"{path}: is a virtual raster with a DOCTYPE, which is refused; {_cure(path)}") from error
     except (OSError, ElementTree.ParseError, ValueError, LookupError, RecursionError) as error:
         raise InputError(f"{path}: the VRT file is broken or cut short ({error}); a complete file is needed") from error
+
+
+def _named(element: ElementTree.Element) -> set[tuple[str, bool]]:
+    """Names of the files below an element, and whether each is relative to the virtual raster."""
+    found = (child for child in element.iter() if child.tag in ("SourceFilename", "SourceDataset"))
+    return {(e.text or "", e.get("relativeToVRT", e.get("relativetoVRT")) == "1") for e in found}
 
 
 def _names_files(element: ElementTree.Element) -> bool:
@@ -119,7 +144,7 @@ def _odd(element: ElementTree.Element) -> str:
     return ""
 
 
-def _check_source(path: Path, home: Path, name: str, relative: bool, depth: int) -> None:
+def _check_source(path: Path, home: Path, name: str, relative: bool, depth: int, *, image: bool) -> None:
     # GDAL looks for a name that is not relative to the virtual raster in the working folder.
     source = path.parent / name if relative else Path(name)
     try:
@@ -134,6 +159,8 @@ def _check_source(path: Path, home: Path, name: str, relative: bool, depth: int)
         raise InputError(
             f"{path}: names '{name[:80]}', which is not there; put it into the folder of the virtual raster"
         )
+    if not image:
+        return
     if is_vrt(head):
         check_vrt(source, depth + 1, home)
         return

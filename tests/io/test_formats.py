@@ -175,6 +175,20 @@ FORMATS: dict[str, Callable[[Path], Made]] = {
     "HDF5 complex": lambda d: (hdf5(d, COMPLEX).partition(":")[0], {"band": "HH"}, COMPLEX),
     "netCDF": lambda d: (netcdf4(d), {"band": "sigma0"}, AMPLITUDE),
     "netCDF classic": lambda d: (classic_netcdf(d), {}, AMPLITUDE),
+    "GIF": lambda d: (write(d / "a.gif", BYTES, "GIF"), {}, BYTES),
+    "PNM": lambda d: (write(d / "a.pgm", BYTES, "PNM", False), {}, BYTES),
+    "RMF": lambda d: (write(d / "a.mtw", AMPLITUDE.astype("f8"), "RMF", MTW="ON"), {}, AMPLITUDE),
+    "AAIGrid": lambda d: (write(d / "a.asc", BYTES.astype("i4"), "AAIGrid"), {}, BYTES),
+    "RST": lambda d: (write(d / "a.rst", AMPLITUDE, "RST"), {}, AMPLITUDE),
+    "SAGA": lambda d: (write(d / "a.sdat", AMPLITUDE, "SAGA"), {}, AMPLITUDE),
+    "RRASTER": lambda d: (write(d / "a.grd", AMPLITUDE, "RRASTER"), {}, AMPLITUDE),
+    "GSBG": lambda d: (write(d / "a.grd", AMPLITUDE, "GSBG"), {}, AMPLITUDE),
+    "VICAR": lambda d: (write(d / "a.vic", AMPLITUDE, "VICAR", False), {}, AMPLITUDE),
+    "ISIS3": lambda d: (write(d / "a.cub", AMPLITUDE, "ISIS3"), {}, AMPLITUDE),
+    "PDS4": lambda d: (write(d / "a.xml", AMPLITUDE, "PDS4", False), {}, AMPLITUDE),
+    "PAux": lambda d: (write(d / "a.raw", AMPLITUDE, "PAux"), {}, AMPLITUDE),
+    "LAN": lambda d: (write(d / "a.lan", BYTES, "LAN"), {}, BYTES),
+    "MFF": lambda d: (write(d / "a.hdr", BYTES, "MFF", False), {}, BYTES),
     "ZIP": lambda d: (archive(d), {}, AMPLITUDE),
     "/vsizip": lambda d: (f"/vsizip/{archive(d)}/inside/a.tif", {}, AMPLITUDE),
     "SAFE": lambda d: (safe(d), {"band": "vh"}, (AMPLITUDE * 2).astype(np.uint16)),
@@ -183,7 +197,9 @@ FORMATS: dict[str, Callable[[Path], Made]] = {
                         {"band": "VH"}, AMPLITUDE),
 }  # fmt: skip
 #: Those that cannot say where they lie, or that say it in a header that is not written here.
-NOWHERE = ("ISCE", "NITF", "PNG", "BMP", "JPEG", "NPY", "MATLAB", "MATLAB 7.3")
+NOWHERE = ("ISCE", "NITF", "PNG", "BMP", "JPEG", "NPY", "MATLAB", "MATLAB 7.3", "PNM", "VICAR", "MFF", "PDS4")
+#: Those that keep the place without its coordinate system, or in other words for the same.
+NO_SYSTEM = ("ROI_PAC", "RMF", "AAIGrid", "RST", "SAGA", "RRASTER", "GSBG", "ISIS3", "PAux", "LAN")
 
 
 @pytest.mark.parametrize("kind", FORMATS)
@@ -208,7 +224,7 @@ def test_whole_and_windows_hold_what_was_written(kind: str, tmp_path: Path) -> N
         else:
             assert place is not None
             assert place.transform == pytest.approx(TRANSFORM)
-            if kind not in ("ROI_PAC",):
+            if kind not in NO_SYSTEM:
                 assert rasterio.crs.CRS.from_wkt(place.crs) == rasterio.crs.CRS.from_user_input(CRS)
     identity = opened.identity()
     assert identity == open_source(str(source), **reading).identity()
@@ -412,9 +428,51 @@ def test_the_scale_is_told_from_no_more_than_memory_holds() -> None:
     assert sum(read) <= 5 * SAMPLE**2
 
 
-def test_warped_virtual_rasters_and_doctypes_are_refused(tmp_path: Path) -> None:
-    (tmp_path / "a.vrt").write_text('<VRTDataset rasterXSize="50" rasterYSize="50" subClass="VRTWarpedDataset"/>')
-    with pytest.raises(InputError, match=r"kind VRTWarpedDataset.*gdal_translate a.vrt a.tif"):
+def test_warped_virtual_rasters_are_read(tmp_path: Path) -> None:
+    from rasterio.shutil import copy
+    from rasterio.vrt import WarpedVRT
+
+    write(tmp_path / "a.tif", AMPLITUDE, "GTiff")
+    with rasterio.open(tmp_path / "a.tif") as dataset, WarpedVRT(dataset, crs="EPSG:4326", nodata=0) as warped:
+        copy(warped, tmp_path / "w.vrt", driver="VRT")
+        wanted, transform = warped.read(1), tuple(warped.transform)[:6]
+    image = as_image(tmp_path / "w.vrt")
+    np.testing.assert_array_equal(image.pixels, wanted)
+    np.testing.assert_array_equal(image.mask, wanted != 0)
+    assert image.geolocation is not None
+    assert image.geolocation.transform == pytest.approx(transform)
+    text = (tmp_path / "w.vrt").read_text()
+    for old, new, said in (
+        ("a.tif</SourceDataset>", "../a.tif</SourceDataset>", "reaches outside its folder"),
+        ("<Transformer>", "<Transformer><RPCTransformer><DEMPath>a.tif</DEMPath></RPCTransformer>", "a 'DEMPath'"),
+        ("<Transformer>", '<Transformer DEMPath="a.tif">', "spells 'DEMPath' oddly"),
+        ("<Transformer>", "<Transformer><demPath>a.tif</demPath>", "spells 'demPath' oddly"),
+    ):
+        assert old in text
+        (tmp_path / "x.vrt").write_text(text.replace(old, new))
+        with pytest.raises(InputError, match=said):
+            as_image(tmp_path / "x.vrt")
+
+
+def test_virtual_rasters_on_bare_samples_are_read(tmp_path: Path) -> None:
+    AMPLITUDE.tofile(tmp_path / "a.raw")
+    text = (
+        f'<VRTDataset rasterXSize="{W}" rasterYSize="{H}"><VRTRasterBand dataType="Float32" band="1" '
+        'subClass="VRTRawRasterBand"><SourceFilename relativeToVRT="1">a.raw</SourceFilename>'
+        f"<ImageOffset>0</ImageOffset><PixelOffset>4</PixelOffset><LineOffset>{4 * W}</LineOffset>"
+        "<ByteOrder>LSB</ByteOrder></VRTRasterBand></VRTDataset>"
+    )
+    (tmp_path / "a.vrt").write_text(text)
+    np.testing.assert_array_equal(as_image(tmp_path / "a.vrt").pixels, AMPLITUDE)
+    (tmp_path / "a.vrt").write_text(text.replace("a.raw", "/etc/hostname"))
+    with pytest.raises(InputError, match="reaches outside its folder"):
+        as_image(tmp_path / "a.vrt")
+
+
+def test_pansharpened_virtual_rasters_and_doctypes_are_refused(tmp_path: Path) -> None:
+    kind = "VRTPansharpenedDataset"
+    (tmp_path / "a.vrt").write_text(f'<VRTDataset rasterXSize="50" rasterYSize="50" subClass="{kind}"/>')
+    with pytest.raises(InputError, match=rf"kind {kind}.*gdal_translate a.vrt a.tif"):
         as_image(tmp_path / "a.vrt")
     path = virtual(tmp_path)
     path.write_text('<!DOCTYPE x [<!ENTITY a SYSTEM "file:///etc/passwd">]>' + path.read_text())

@@ -1,0 +1,134 @@
+"""What GDAL has manners of its own for: masks of single bands, palettes, blocks, headers, local coordinate systems."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from featreg.errors import InputError
+from featreg.geolocation import sensor_of
+from featreg.io import as_image
+from featreg.io.raster_source import Window, open_source
+
+rasterio = pytest.importorskip("rasterio")
+pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+
+H, W = 40, 50
+RNG = np.random.default_rng(3)
+BYTES = RNG.integers(1, 250, (H, W)).astype(np.uint8)
+
+
+def write(path: Path, array: NDArray[Any], driver: str = "GTiff", **more: Any) -> Path:
+    bands = array if array.ndim == 3 else array[None]
+    size = {"height": bands.shape[1], "width": bands.shape[2], "count": len(bands)}
+    with rasterio.open(path, "w", driver=driver, dtype=bands.dtype, **size, **more) as dataset:
+        dataset.write(bands)
+    return path
+
+
+def test_a_mask_file_may_hold_a_mask_for_each_band(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.tif", np.stack([BYTES, BYTES[::-1]]))
+    shown = np.stack([np.arange(W) >= 7, np.arange(W) < 30])[:, None].repeat(H, axis=1)
+    # Without the flag that one mask holds for the whole dataset.
+    with rasterio.open(
+        tmp_path / "a.tif.msk", "w", driver="GTiff", dtype="uint8", height=H, width=W, count=2
+    ) as dataset:
+        dataset.write(shown.astype(np.uint8) * 255)
+        dataset.update_tags(INTERNAL_MASK_FLAGS_1="0", INTERNAL_MASK_FLAGS_2="0")
+    for band in (1, 2):
+        np.testing.assert_array_equal(as_image(path, band=band).mask, shown[band - 1])
+        part = open_source(str(path), band=band).read(Window(3, 4, 40, 30))
+        np.testing.assert_array_equal(part.mask, shown[band - 1][4:34, 3:43])
+
+
+def test_nodata_of_a_palette_is_an_entry_and_no_gray_value(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.tif", BYTES, nodata=200, photometric="palette")
+    with rasterio.open(path, "r+") as dataset:
+        # Entry 10 is black with value 0, entry 9 is the gray value 200.
+        colours = {i: (i, i, i, 255) for i in range(256)} | {10: (0, 0, 0, 255), 9: (200, 200, 200, 255)}
+        dataset.write_colormap(1, colours)
+    image = as_image(path)
+    np.testing.assert_array_equal(image.mask, BYTES != 200)
+    assert (image.pixels[BYTES == 9] == 200).all()
+    assert (image.pixels[BYTES == 10] == 0).all()
+
+
+def test_colours_of_signed_numbers_are_for_display(tmp_path: Path) -> None:
+    heights = BYTES.astype(np.int16) * 7
+    path = write(tmp_path / "a.bil", heights, "EHdr")
+    # What is not listed has no colour, and no opacity either.
+    (tmp_path / "a.clr").write_text("7 255 0 0\n5000 0 0 255\n")
+    with rasterio.open(path) as dataset:
+        assert dataset.colorinterp[0].name == "palette"
+    image = as_image(path)
+    assert image.mask.all()
+    np.testing.assert_array_equal(image.pixels, heights)
+    with pytest.raises(InputError, match="describes an image; give the image beside it"):
+        as_image(tmp_path / "a.clr")
+
+
+def test_one_block_is_not_read_where_the_file_cannot_hold_it(tmp_path: Path) -> None:
+    (tmp_path / "a.pgm").write_bytes(b"P5\n400000000 20\n255\n" + bytes(1000))
+    with pytest.raises(InputError, match=r"states 400000000 x 1 pixels in one block \(0.4 GB\) in 1020 bytes"):
+        open_source(str(tmp_path / "a.pgm"), scale="amplitude").read(Window(0, 0, 32, 32))
+
+
+def test_what_is_packed_twice_is_not_unpacked(tmp_path: Path) -> None:
+    size = {"height": 40_000, "width": 30_000, "count": 1, "dtype": "uint8"}
+    with rasterio.open(tmp_path / "a.tif", "w", driver="GTiff", compress="deflate", sparse_ok=True, **size):
+        pass
+    with zipfile.ZipFile(tmp_path / "a.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.write(tmp_path / "a.tif", "a.tif")
+    with pytest.raises(InputError, match=r"a.zip:a.tif: states 30000 x 40000 pixels \(1.2 GB\) in \d+ bytes"):
+        open_source(str(tmp_path / "a.zip"), scale="amplitude")
+
+
+def test_headers_of_er_mapper_begin_in_any_case_and_after_comments(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.ers", BYTES, "ERS")
+    text = path.read_text()
+    assert text.startswith("DatasetHeader Begin")
+    for header in ("datasetheader begin" + text[19:], "# a comment\n\n  " + text):
+        path.write_text(header)
+        np.testing.assert_array_equal(as_image(path).pixels, BYTES)
+
+
+def test_hdf5_may_begin_behind_a_block_of_the_user(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "a.bin", "w", userblock_size=2048) as file:
+        file["amplitude"] = BYTES
+    with (tmp_path / "a.bin").open("r+b") as raw:
+        raw.write(b"whatever a user likes")
+    np.testing.assert_array_equal(as_image(tmp_path / "a.bin").pixels, BYTES)
+
+
+def test_a_local_coordinate_system_leads_nowhere_and_is_named(tmp_path: Path) -> None:
+    crs = rasterio.crs.CRS.from_wkt('LOCAL_CS["site",UNIT["metre",1]]')
+    path = write(tmp_path / "a.tif", BYTES, crs=crs, transform=rasterio.Affine(2, 0, 5, 0, -2, 9))
+    image = as_image(path)
+    with pytest.raises(InputError, match="does not lead to longitude and latitude"):
+        sensor_of(image.geolocation, image.shape, "a.tif")
+
+
+def test_a_transform_that_was_left_in_memory_is_none(tmp_path: Path) -> None:
+    from featreg.io.gdal_reader import _is_nothing
+
+    assert _is_nothing((4.7e-310, 0.0, 4.7e-310, 6.9e-310, 5e-324, 6.9e-310))
+    assert _is_nothing((1.0, 0.0, np.nan, 0.0, 1.0, 0.0))
+    assert not _is_nothing((1e-9, 0.0, 5.0, 0.0, -1e-9, 5.0))
+    path = write(tmp_path / "a.pgm", BYTES, "PNM")
+    assert as_image(path).geolocation is None
+
+
+def test_measurements_of_radarsat_constellation_are_named_by_polarisation(tmp_path: Path) -> None:
+    (tmp_path / "imagery").mkdir()
+    objects = ""
+    for name, gain in (("VV", 1), ("VH", 2)):
+        write(tmp_path / "imagery" / f"{name}.tif", BYTES.astype(np.uint16) * gain)
+        objects += f'<dataObject><byteStream><fileLocation href="./imagery/{name}.tif"/></byteStream></dataObject>'
+    (tmp_path / "manifest.safe").write_text(f"<XFDU><dataObjectSection>{objects}</dataObjectSection></XFDU>")
+    np.testing.assert_array_equal(as_image(tmp_path, band="VH").pixels, 2.0 * BYTES)
