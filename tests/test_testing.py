@@ -1,12 +1,13 @@
-"""The conformance kit: plugins of ours pass it, and each defect of a bad one is named."""
+"""The conformance kit: each defect of a bad plugin is named. That ours pass it: tests/test_plugins.py."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -16,26 +17,12 @@ from featreg import Features, Filter, FilterContext, Image, Matches, registry
 from featreg.errors import PluginError, UnknownNameError
 from featreg.testing import check_plugin
 
-OURS = [
-    ("detector", "sar-ofast"),
-    ("descriptor", "brief"),
-    ("descriptor", "ratio-gloh"),
-    ("nearest", "brute-force"),
-    ("filter", "fsc"),
-    ("filter", "gms"),
-    ("matcher", "patch-grid"),
-]
 
-
-@pytest.mark.parametrize(("kind", "name"), OURS, ids=[f"{k}:{n}" for k, n in OURS])
-def test_our_own_pass(kind: str, name: str) -> None:
-    passed = check_plugin(kind, name)
-    assert passed[:4] == ("parameters", "docstring", "same bits again", "pickled")
-    assert len(passed) >= 6
-
-
-def test_parameters_reach_the_plugin_and_symmetry_can_be_left_out() -> None:
-    assert "mirror image" not in check_plugin("detector", "sar-ofast", symmetric=False, levels=2)
+def test_parameters_reach_the_plugin_and_checks_can_be_left_out() -> None:
+    passed = check_plugin("detector", "sar-ofast", symmetric=False, leave_out=["gain"], levels=2)
+    assert passed == ("parameters", "docstring", "same bits again", "pickled", "points", "nodata", "nothing there")
+    with pytest.raises(UnknownNameError, match="no check 'gian' of a detector, did you mean 'gain'"):
+        check_plugin("detector", "sar-ofast", leave_out=["gian"])
     with pytest.raises(UnknownNameError):
         check_plugin("filter", "no-such")
     for kind in ("model", "detectr"):
@@ -52,6 +39,30 @@ def registered() -> Iterator[set[tuple[str, str]]]:
         del registry._entries[key]
 
 
+@dataclass(frozen=True)
+class Corners(featreg.Detector):
+    """FAST corners whose support has data."""
+
+    heeds: ClassVar[bool] = True
+
+    def detect_features(self, image: Image) -> Features:
+        grey = np.clip(image.amplitude * np.float32(60), 0, 255).astype(np.uint8)
+        found = Features.from_keypoints(cv2.FastFeatureDetector.create(30).detect(cv2.GaussianBlur(grey, (5, 5), 0)))
+        inside = np.ones(len(found), np.bool_)
+        if self.heeds:
+            from_nodata = cv2.distanceTransform(image.mask.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+            inside = from_nodata[found.xy[:, 1].astype(int), found.xy[:, 0].astype(int)] > 8
+        kept = found.take(np.flatnonzero(inside))
+        return replace(kept, scale=np.full(len(kept), 8.0), angle=np.zeros(len(kept))).best(len(kept))
+
+
+class UnmaskedCorners(Corners):
+    """The same, whether there are data or not."""
+
+    heeds = False
+
+
+CORNERS = {True: Corners, False: UnmaskedCorners}
 CALLS = itertools.count()
 
 
@@ -107,6 +118,19 @@ def test_every_defect_of_a_detector_is_named(registered: set[tuple[str, str]]) -
         "a constant image has points",
     ):
         assert words in str(caught.value)
+
+
+def test_a_detector_that_takes_what_is_under_the_mask_for_data_is_named(registered: set[tuple[str, str]]) -> None:
+    """FAST corners are right in everything else, and those of which the mask is asked are right in all."""
+    for name, heeds in (("masked-corners", True), ("unmasked-corners", False)):
+        featreg.register(name)(CORNERS[heeds])
+    assert "nodata" in check_plugin("detector", "masked-corners", leave_out=["gain"])
+    with pytest.raises(PluginError) as caught:
+        check_plugin("detector", "unmasked-corners", leave_out=["gain"])
+    assert str(caught.value) == (
+        "detector 'unmasked-corners' fails 1 checks: nodata: the support (scale) of points reaches over pixels "
+        "without data"
+    )
 
 
 def test_a_search_that_takes_two_kinds_is_named(registered: set[tuple[str, str]]) -> None:

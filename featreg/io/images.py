@@ -180,7 +180,9 @@ def _restricted(image: Image, mask: MaskLike | None, nodata: complex | None, sca
         raise InputError(f"{image.name}: was already made as '{image.scale}', scale='{scale}' contradicts it")
     valid = _combine(None, mask, holds_nodata(image.pixels, nodata), image.shape, image.name)
     if valid is None:
-        return image
+        if image.all_valid or not image.pixels[~image.mask].any():
+            return image
+        valid = image.mask.copy()  # an image that the caller made may hide anything where it has no data
     valid &= image.mask
     pixels = np.where(valid, image.pixels, image.pixels.dtype.type(0))
     check_content(pixels, valid, image.name)

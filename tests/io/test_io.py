@@ -300,6 +300,17 @@ def test_polygons_against_a_circle_and_shared_edges() -> None:
     assert (halves[0] ^ halves[1]).all()
 
 
+def test_what_an_image_hides_where_it_has_no_data_is_taken_out() -> None:
+    pixels = np.random.default_rng(1).gamma(4, 0.25, (30, 40)).astype(np.float32)
+    mask = np.ones(pixels.shape, np.bool_)
+    mask[5:9, 3:20] = False
+    for hidden in (77.0, np.nan):
+        made = as_image(Image(np.where(mask, pixels, np.float32(hidden)).astype(np.float32), mask))
+        np.testing.assert_array_equal(made.pixels, np.where(mask, pixels, np.float32(0)))
+        np.testing.assert_array_equal(made.mask, mask)
+    assert as_image(made) is made
+
+
 def test_an_image_passes_through_and_can_be_restricted() -> None:
     image = as_image(GRAY, nodata=GRAY[0, 0])
     assert as_image(image) is image
