@@ -110,7 +110,9 @@ def describe(
     looks = _looks(image, mask)
     head = source.head
     choice = {"one": "", "luminance": "luminance of red, green and blue", "iq": "complex samples of I and Q"}
-    told = "stated" if scale else "its names and units" if head.first.said == source.known_scale else "its samples"
+    told = "stated" if scale else "its samples"
+    if not scale and head.first.said == source.known_scale:
+        told = "the name of the file" if head.first.said_by_file else "its names and units"
     told = "its dtype" if source.is_complex else told
     return found | {
         "read": choice[head.choice.how] or head.first.name or f"band {head.choice.bands[0] + 1}",

@@ -23,7 +23,7 @@ from featreg.io.products.sentinel1_tops import TopsTerms
 from featreg.io.products.stated import stated_calibration, stated_sensor, stated_tops
 from featreg.io.reader import Band, Raster
 from featreg.io.rpc_file import rpc_beside
-from featreg.io.scales import scale_in_words
+from featreg.io.scales import scale_in_name, scale_in_words
 from featreg.io.window import Window
 from featreg.types import BoolArray, Geolocation
 
@@ -88,19 +88,23 @@ class GdalReader:
             colours, holes, gains, offsets = dataset.colorinterp, dataset.nodatavals, dataset.scales, dataset.offsets
             roles = {getattr(ColorInterp, name): name for name in (*COLOURS, "alpha")}
             found = []
+            alone = scale_in_name(Path(self.called).stem) if dataset.count == 1 else None
             for i in range(dataset.count):
                 tags = dataset.tags(i + 1)
                 more = [tags.get(name) for name in ("units", "long_name", "standard_name", "DESCRIPTION")]
+                said = scale_in_words(names[i], units[i], *more)
+                by_file = said is None and alone is not None and not names[i]
                 found.append(
                     Band(
                         names[i] or tags.get("POLARIMETRIC_INTERP") or "",
                         (dataset.height, dataset.width),
                         kinds[i],
                         roles.get(colours[i], ""),
-                        scale_in_words(names[i], units[i], *more),
+                        alone if by_file else said,
                         holes[i],
                         gains[i],
                         offsets[i],
+                        by_file,
                     )
                 )
             return found

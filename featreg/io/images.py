@@ -75,9 +75,11 @@ def as_image(
 
     Notes
     -----
-    Real samples with negative values and no stated scale are what the file's band names and units say. Without a word
-    there, small negatives below a long upper tail are those of an intensity from which noise was removed; else samples
-    count as decibels where all lie within -90 .. 60 and at least 1 % are negative. Arrays are copied, never locked or
+    Real samples without a stated scale are what the file's band names and units say, else the name of a file of one
+    band ("sigma0", "gamma0", "beta0", "db"); digital numbers, whole and not negative, are amplitude. Without a word,
+    samples without a negative value are amplitude; of others, small negatives below a long upper tail are those of an
+    intensity from which noise was removed; else samples count as decibels where all lie within -90 .. 60 and at least
+    1 % are negative. Arrays are copied, never locked or
     shared. A scale and offset kept in a GeoTIFF are applied.
     """
     if scale is not None and scale not in SCALES:

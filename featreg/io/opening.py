@@ -163,6 +163,9 @@ def _sidecars(path: Path) -> list[tuple[str, Path]]:
 def _unknown(path: Path) -> str:
     if path.suffix.lower() == ".hdr":
         return f"{path}: is a header; give the raster beside it, of the same name without .hdr"
+    if path.suffix.lower() == ".dim" and (bands := sorted(path.with_suffix(".data").glob("*.img"))):
+        listed = ", ".join(f"'{band}'" for band in bands[:8])
+        return f"{path}: is the header of SNAP; give one of its bands: {listed}"
     usual = {".npy": "NPY", ".mat": "MATLAB", ".h5": "HDF5", ".nc": "netCDF", ".zip": "ZIP", ".vrt": "VRT"}
     wanted = drivers_by_suffix(path.suffix) or usual.get(path.suffix.lower(), "")
     if wanted:

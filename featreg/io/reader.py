@@ -27,6 +27,7 @@ class Band:
     said : the scale that its names and units state, if any; see `featreg.io.scales.scale_in_words`
     nodata : the value of samples that are not data, if the file states one
     gain, offset : value = gain * sample + offset
+    said_by_file : whether `said` is what the name of the file states, not something inside it
     """
 
     name: str
@@ -37,6 +38,7 @@ class Band:
     nodata: float | None = None
     gain: float = 1.0
     offset: float = 0.0
+    said_by_file: bool = False
 
     @property
     def is_complex(self) -> bool:

@@ -32,6 +32,9 @@ WORDS = {
     "intensity": ("intensity", "power", "sigma0", "gamma0", "beta0", "sigma", "gamma", "beta", "nrcs"),
 }
 
+#: Those by which also the name of a file tells: no other thing is called so.
+FILE_WORDS = {"db": ("db",), "intensity": ("sigma0", "gamma0", "beta0", "nrcs")}
+
 logger = logging.getLogger("featreg.io")
 
 
@@ -69,8 +72,8 @@ def real_pixels(
     if valid is None and samples.size and scale in (None, "amplitude"):
         # The common case in two quick passes: NaN fails both comparisons.
         low, high = samples.min(), samples.max()
-        stated_db = scale is None and said == "db" and samples.dtype.kind == "f" and high <= DB_RANGE[1]
-        if low >= 0 and high <= np.finfo(np.float32).max and not stated_db:
+        other = scale is None and _by_words(said, samples.dtype, high) != "amplitude"
+        if low >= 0 and high <= np.finfo(np.float32).max and not other:
             if low == high and content:
                 raise NoContentError(_constant(name, float(low)))
             return samples.astype(np.float32, order="C", copy=not owned), None, "amplitude"
@@ -81,7 +84,10 @@ def real_pixels(
     negative = (values < 0) & valid
     below = int(np.count_nonzero(negative))
     if scale is None:
-        scale = _inferred_scale(values[valid], below, name, said) if below else _without_negatives(values, valid, said)
+        if below:
+            scale = _inferred_scale(values[valid], below, name, said)
+        else:
+            scale = _by_words(said, samples.dtype, values[valid].max()) if valid.any() else "amplitude"
     elif scale == "db" and content:
         _check_decibels(values[valid], name)
     if below and scale == "intensity":
@@ -145,6 +151,12 @@ def scale_in_words(*texts: str | None) -> str | None:
     return next((scale for scale, known in WORDS.items() if words.intersection(known)), None)
 
 
+def scale_in_name(stem: str) -> str | None:
+    """Return the scale that the name of a file states which says nothing inside ("..._VV_gamma0-rtc_db"), or None."""
+    words = set(re.split(r"[^a-z0-9]+", stem.lower()))
+    return next((scale for scale, known in FILE_WORDS.items() if words.intersection(known)), None)
+
+
 def _inferred_scale(values: NDArray[Any], below: int, name: str, said: str | None) -> str:
     """Return the scale of valid samples, `below` of them negative, where it can be told without a silent guess."""
     low, high = values.min(), values.max()
@@ -174,11 +186,15 @@ def _inferred_scale(values: NDArray[Any], below: int, name: str, said: str | Non
     )
 
 
-def _without_negatives(values: NDArray[Any], valid: BoolArray, said: str | None) -> str:
-    """Return the scale of samples none of which is negative: decibels only where the file says so and they can be."""
-    if said != "db" or values.dtype.kind != "f" or not valid.any():
+def _by_words(said: str | None, dtype: np.dtype[Any], high: Any) -> str:
+    """Return the scale of samples none of which is negative, the highest of them `high`.
+
+    What the file says counts for numbers that are no whole ones, decibels where they can be; digital numbers are
+    amplitudes whatever they are called.
+    """
+    if said is None or dtype.kind != "f":
         return "amplitude"
-    return "db" if float(values[valid].max()) <= DB_RANGE[1] else "amplitude"
+    return said if said != "db" or float(high) <= DB_RANGE[1] else "amplitude"
 
 
 def _noise_removed(values: NDArray[Any]) -> bool:

@@ -91,7 +91,7 @@ def classic_netcdf(folder: Path) -> Path:
             file.createVariable(name, "d", (name,))[:] = values
         system = file.createVariable("crs", "i", ())
         system.crs_wkt = rasterio.crs.CRS.from_user_input(CRS).to_wkt()
-        image = file.createVariable("sigma0", "f", ("y", "x"))
+        image = file.createVariable("amplitude", "f", ("y", "x"))
         image[:] = AMPLITUDE
         image.grid_mapping = "crs"
     return folder / "a.nc"
@@ -100,9 +100,9 @@ def classic_netcdf(folder: Path) -> Path:
 def netcdf4(folder: Path) -> Path:
     pytest.importorskip("h5netcdf")
     xr = pytest.importorskip("xarray")
-    data = xr.DataArray(AMPLITUDE, dims=("y", "x"), coords={"y": Y, "x": X}, name="sigma0").to_dataset()
+    data = xr.DataArray(AMPLITUDE, dims=("y", "x"), coords={"y": Y, "x": X}, name="amplitude").to_dataset()
     data["spatial_ref"] = xr.DataArray(0, attrs={"crs_wkt": rasterio.crs.CRS.from_user_input(CRS).to_wkt()})
-    data.sigma0.attrs["grid_mapping"] = "spatial_ref"
+    data.amplitude.attrs["grid_mapping"] = "spatial_ref"
     data.to_netcdf(folder / "a.nc", engine="h5netcdf")
     return folder / "a.nc"
 
@@ -173,7 +173,7 @@ FORMATS: dict[str, Callable[[Path], Made]] = {
     "MATLAB 7.3": lambda d: (new_matlab(d), {}, COMPLEX),
     "HDF5": lambda d: (hdf5(d), {}, AMPLITUDE),
     "HDF5 complex": lambda d: (hdf5(d, COMPLEX).partition(":")[0], {"band": "HH"}, COMPLEX),
-    "netCDF": lambda d: (netcdf4(d), {"band": "sigma0"}, AMPLITUDE),
+    "netCDF": lambda d: (netcdf4(d), {"band": "amplitude"}, AMPLITUDE),
     "netCDF classic": lambda d: (classic_netcdf(d), {}, AMPLITUDE),
     "GIF": lambda d: (write(d / "a.gif", BYTES, "GIF"), {}, BYTES),
     "PNM": lambda d: (write(d / "a.pgm", BYTES, "PNM", False), {}, BYTES),
@@ -234,7 +234,7 @@ def test_names_of_datasets_are_those_of_gdal_too(tmp_path: Path) -> None:
     file = hdf5(tmp_path).partition(":")[0]
     for name in (f'HDF5:"{file}"://science/grids/A/HH', f"HDF5:{file}://science/grids/A/HH", f"{file}:HH"):
         np.testing.assert_array_equal(as_image(name).pixels, AMPLITUDE)
-    np.testing.assert_array_equal(as_image(f"NETCDF:{classic_netcdf(tmp_path)}:sigma0").pixels, AMPLITUDE)
+    np.testing.assert_array_equal(as_image(f"NETCDF:{classic_netcdf(tmp_path)}:amplitude").pixels, AMPLITUDE)
     with pytest.raises(InputError, match="no band '/HX', known: HH"):
         as_image(f"{file}:/HX")
     with pytest.raises(InputError, match="names a dataset already"):
@@ -541,8 +541,8 @@ def test_longitudes_and_latitudes_of_every_pixel_become_control_points(tmp_path:
     h5py = pytest.importorskip("h5py")
     row, col = np.mgrid[:H, :W]
     with h5py.File(tmp_path / "a.h5", "w") as file:
-        file["sigma0"], file["lat"], file["lon"] = AMPLITUDE, 40 - 1e-4 * row, 10 + 1e-4 * col
-    place = as_image(f"{tmp_path / 'a.h5'}:sigma0").geolocation
+        file["amplitude"], file["lat"], file["lon"] = AMPLITUDE, 40 - 1e-4 * row, 10 + 1e-4 * col
+    place = as_image(f"{tmp_path / 'a.h5'}:amplitude").geolocation
     assert place is not None
     assert place.gcps is not None
     np.testing.assert_allclose(place.gcps[:, 2:4], [10, 40] + place.gcps[:, :2] * [1e-4, -1e-4], atol=1e-9)
