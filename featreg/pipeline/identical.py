@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +10,6 @@ from numpy.typing import NDArray
 from featreg.types import BoolArray, FloatArray, Image, Matches, read_only
 
 F32 = NDArray[np.float32]
-Masked = Callable[[], BoolArray]
 
 #: Fewest identical pixels that can make a tie point, and the share of an image beyond which they are the scene.
 LEAST, MOST = 20, 0.7
@@ -121,6 +119,10 @@ def _beyond_chance(same: BoolArray, a: F32, b: F32) -> BoolArray:
 
 def _drawn(reference: Image, secondary: Image) -> BoolArray:
     """(H, W) pixels of the same bright or dark drawing on both images, which compression has made differ a little."""
+    import cv2
+
+    from featreg.pipeline import identical_kernels as kernels
+
     mask, first, second = reference.mask & secondary.mask, reference.amplitude, secondary.amplitude
     found = np.zeros_like(mask)
     count = np.count_nonzero(mask)
@@ -130,35 +132,45 @@ def _drawn(reference: Image, secondary: Image) -> BoolArray:
     some = np.random.default_rng(0).integers(0, count, SAMPLES)
     if count < mask.size:
         some = np.flatnonzero(mask.ravel())[some]
-    levels = np.array([np.percentile(view.ravel()[some], (50, 90)) for view in (first, second)])
-    dark, bright = np.float32(DRAWN_DARK * levels[:, 0].min()), levels[:, 1].max()
-    # Invalid pixels hold 0 in their own image only.
-    less, more = np.minimum(first, second), np.maximum(first, second) * mask
-    top = float(more.max())
+    median, ninth = np.transpose([_deciles(view.ravel()[some]) for view in (first, second)])
+    dark, bright = np.float32(DRAWN_DARK * min(median)), max(ninth)
+    top = max(cv2.minMaxLoc(view, mask.view(np.uint8))[1] for view in (first, second))
     grey, white = (np.float32(max(bright, share * top)) for share in (DRAWN_GREY, DRAWN_BRIGHT))
     noise = np.float32(GREY_NOISE * top)
-    kinds: tuple[tuple[str, Masked, Masked], ...] = (
-        ("dark", lambda: mask & (more <= dark), lambda: mask & (less <= dark)),
-        ("white", lambda: less >= white, lambda: more >= white),
-        ("grey", lambda: (less >= grey) & (more - less <= noise), lambda: more >= grey),
-    )
-    for level, one, other in kinds:
-        both = one()
+    bits = np.empty(mask.shape, np.uint8)
+    kernels.drawable(first, second, mask, dark, grey, white, noise, bits)
+    for one, other in (
+        (kernels.DARK_BOTH, kernels.DARK_EITHER),
+        (kernels.WHITE_BOTH, kernels.WHITE_EITHER),
+        (kernels.GREY_BOTH, kernels.GREY_EITHER),
+    ):
+        both = (bits & one) > 0
         count = np.count_nonzero(both)
         if count < LEAST:
             continue
-        if level == "dark" and count < SHARED_DARK * max(np.count_nonzero(mask & (v <= dark)) for v in (first, second)):
+        if one == kernels.DARK_BOTH and count < SHARED_DARK * max(
+            np.count_nonzero((bits & own) > 0) for own in (kernels.DARK_FIRST, kernels.DARK_SECOND)
+        ):
             continue
         shared = _count_around(both)
-        strokes = both & (shared >= STROKE)
-        if not strokes.any():
+        at = np.flatnonzero(both & (shared >= STROKE))
+        if not len(at):
             continue
-        alike = strokes & (shared >= np.float32(OVERLAP) * _count_around(other()))
+        around = shared.ravel()[at]
+        alike = around >= np.float32(OVERLAP) * _count_around((bits & other) > 0).ravel()[at]
         # Two lakes, or two bright fields, overlap inside; a drawing has the same outline on both.
-        outline = strokes & (shared <= OUTLINE * (2 * AROUND + 1) ** 2)
+        outline = around <= OUTLINE * (2 * AROUND + 1) ** 2
         if np.count_nonzero(alike & outline) > SAME_OUTLINE * np.count_nonzero(outline):
-            found |= alike
+            found.ravel()[at[alike]] = True
     return found if np.count_nonzero(found) <= MOST_DRAWN * found.size else np.zeros_like(found)
+
+
+def _deciles(values: F32) -> tuple[float, float]:
+    """The fifth and the ninth decile of some values, as numpy interpolates them."""
+    ranked = np.sort(values).astype(np.float64)
+    at = np.array([0.5, 0.9]) * (len(ranked) - 1)
+    low = at.astype(np.int64)
+    return tuple((ranked[low] + (at - low) * (ranked[np.minimum(low + 1, len(ranked) - 1)] - ranked[low])).tolist())
 
 
 def _count_around(which: BoolArray) -> NDArray[np.uint8]:

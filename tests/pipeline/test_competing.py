@@ -15,6 +15,7 @@ from featreg.geometry import Affine, Homography, Translation
 from featreg.interfaces import Model
 from featreg.io import as_image
 from featreg.pipeline import identical
+from featreg.pipeline import identical_kernels as kernels
 from featreg.pipeline.agreement import Agreement
 from featreg.pipeline.competing import agreement_gates, rival_gate
 from featreg.pipeline.identical import identical_pixels, without_identical
@@ -130,6 +131,29 @@ def test_tie_points_do_not_slide_along_a_frame(method: str) -> None:
     for xy in (result.matches.reference_xy, result.matches.secondary_xy):
         column, row = np.clip(np.rint(xy), 0, SIDE - 1).astype(int).T
         assert not mark[row, column].any()
+
+
+def test_what_may_be_drawn_is_told_pixel_by_pixel() -> None:
+    rng = np.random.default_rng(3)
+    first, second = rng.gamma(1, 1, (2, 40, 53)).astype(np.float32)
+    second[:20] = first[:20]
+    mask, bits = rng.random(first.shape) > 0.1, np.empty(first.shape, np.uint8)
+    dark, grey, white, noise = (np.float32(value) for value in (0.2, 1.5, 3, 0.1))
+    kernels.drawable(first, second, mask, dark, grey, white, noise, bits)
+    less, more = np.minimum(first, second), np.maximum(first, second)
+    expected = {
+        kernels.DARK_BOTH: more <= dark,
+        kernels.DARK_EITHER: less <= dark,
+        kernels.DARK_FIRST: first <= dark,
+        kernels.DARK_SECOND: second <= dark,
+        kernels.WHITE_BOTH: less >= white,
+        kernels.WHITE_EITHER: more >= white,
+        kernels.GREY_BOTH: (less >= grey) & (more - less <= noise),
+        kernels.GREY_EITHER: more >= grey,
+    }
+    for bit, where in expected.items():
+        assert (mask & where).any()
+        np.testing.assert_array_equal((bits & bit) > 0, mask & where)
 
 
 def test_only_the_drawing_and_its_rim_become_invalid() -> None:

@@ -114,23 +114,40 @@ def _means_to_ratios(amplitude: F32, alpha: float, floor: float | None, gx: F32,
     The weights that exist on each side, fewer near the border, are known in closed form. Without a floor the sums are
     compared as they are: the weights are the caller's.
     """
+    from featreg.sar.gradients import ratio_kernels
+
+    up = scratch("sums from above", (2, *amplitude.shape))
+    image = np.ascontiguousarray(amplitude, np.float32)
+    offset, decay, tiny, share_x, share_y = recursion(image, alpha, floor)
+    ratio_kernels.sums_from_above(image, offset, decay, up)
+    ratio_kernels.log_ratios(up, decay, tiny, share_x, share_y, gx, gy, strength)
+
+
+def recursion(image: F32, alpha: float, floor: float | None) -> tuple[np.float32, np.float32, np.float32, F32, F32]:
+    """Return what the kernels ask beside an image (H, W).
+
+    Returns
+    -------
+    what is added to every pixel; the decay from one to the next; what keeps 0/0 at 1; for each column (W,) and each row
+    (H,) the weights that exist after it over those before it, 1 without a floor
+    """
     if not (math.isfinite(alpha) and alpha > 0):
         raise ParameterError(f"alpha must be a positive number of pixels, got {alpha}")
     import cv2
 
-    from featreg.sar.gradients import ratio_kernels
-
-    height, width = amplitude.shape
     # Beyond this the weights are equal over any image, and in float32 the decay must stay below 1.
     alpha = min(alpha, 1e5)
-    decay = math.exp(-1.0 / alpha)
-    up = scratch("sums from above", (2, height, width))
-    image = np.ascontiguousarray(amplitude, np.float32)
     mean = float(cv2.mean(image)[0])
-    ratio_kernels.sums_from_above(image, np.float32((floor or 0.0) * mean), np.float32(decay), up)
-    shares = [np.ones(n, np.float32) if floor is None else _shares(n, alpha) for n in (width, height)]
-    tiny = np.float32(max(1e-9 * mean, 1e-30))
-    ratio_kernels.log_ratios(up, np.float32(decay), tiny, shares[0], shares[1], gx, gy, strength)
+    share_x, share_y = (
+        np.ones(n, np.float32) if floor is None else _shares(n, alpha) for n in (image.shape[1], image.shape[0])
+    )
+    return (
+        np.float32((floor or 0.0) * mean),
+        np.float32(math.exp(-1.0 / alpha)),
+        np.float32(max(1e-9 * mean, 1e-30)),
+        share_x,
+        share_y,
+    )
 
 
 def edge_strength(gx: F32, gy: F32, *, eq5: bool = False) -> F32:

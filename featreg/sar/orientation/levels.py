@@ -10,10 +10,13 @@ from numpy.typing import NDArray
 
 from featreg.sar.orientation.field import field_of, orientation_field
 from featreg.sar.pyramid import reduced
-from featreg.sar.speckle import filled_amplitude, mean_amplitude
+from featreg.sar.speckle import mean_amplitude
 from featreg.types import BoolArray, FloatArray, Image
 
 F32 = NDArray[np.float32]
+
+#: Stands for a sample that is not there.
+OUTSIDE = np.float32(-1e30)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,12 +71,16 @@ def aligned(reference: Image, secondary: Image, affine: FloatArray, side: float,
     second = reduced(secondary, min(1.0, 2 ** (math.ceil(2 * math.log2(factor / scale) - 1e-9) / 2)))
     up, down = _to_base(first, reference), np.linalg.inv(_to_base(second, secondary))
     into = (down @ _square(affine) @ up)[:2]
-    size = first.shape[::-1]
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    filled = filled_amplitude(second)
-    pixels = np.asarray(cv2.warpAffine(filled, into, size, flags=flags, borderMode=cv2.BORDER_REPLICATE), np.float32)
-    share = cv2.warpAffine(second.mask.view(np.uint8) * np.uint8(255), into, size, flags=flags)
-    covered = np.asarray(share >= 254, np.bool_)
+    values: F32 = second.amplitude if second.all_valid else np.where(second.mask, second.amplitude, OUTSIDE)
+    # What is interpolated from a sample outside, with however small a weight, is far below 0.
+    pixels = np.asarray(
+        cv2.warpAffine(
+            values, into, first.shape[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+            borderMode=cv2.BORDER_CONSTANT, borderValue=float(OUTSIDE),
+        ),
+        np.float32,
+    )  # fmt: skip
+    covered = np.asarray(pixels >= 0, np.bool_)
     pixels[~covered] = mean_amplitude(second)
     there = field_of(pixels, alpha, covered)
     return Level(orientation_field(first, alpha), there, first.mask & covered, up, np.asarray(affine, np.float64))

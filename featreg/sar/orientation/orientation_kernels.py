@@ -1,4 +1,4 @@
-"""Compiled loops of orientation correlation; `field`, `search` and `windows` say what they compute."""
+"""Compiled loops of orientation correlation; `search` and `windows` say what they compute."""
 
 from __future__ import annotations
 
@@ -9,18 +9,6 @@ from featreg.runtime.jit import compiled
 
 F32 = NDArray[np.float32]
 C64 = NDArray[np.complex64]
-
-
-@compiled
-def double_angle(gx: F32, gy: F32, floor: np.float32, out: F32) -> None:
-    """Fill out[y, x] with the real and imaginary part of (gx + i gy)^2 / (gx^2 + gy^2 + floor)."""
-    for y in range(gx.shape[0]):
-        for x in range(gx.shape[1]):
-            a, b = gx[y, x], gy[y, x]
-            xx, yy = a * a, b * b
-            scale = np.float32(1) / (xx + yy + floor)
-            out[y, x, 0] = (xx - yy) * scale
-            out[y, x, 1] = np.float32(2) * a * b * scale
 
 
 @compiled

@@ -10,11 +10,20 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import gamma
 
+from featreg.sar.gradients.ratio import roewa
 from featreg.sar.orientation import orientation_kernels as kernels
 from featreg.sar.orientation.field import field_of, orientation_field, turned
 from featreg.sar.orientation.levels import aligned
 from featreg.sar.orientation.search import Grid, scale_steps, search
-from featreg.sar.orientation.windows import Surfaces, _log10_gamma_tail, correlated, log10_chance, together
+from featreg.sar.orientation.windows import (
+    Surfaces,
+    _by_spectra,
+    _directly,
+    _log10_gamma_tail,
+    correlated,
+    log10_chance,
+    together,
+)
 from featreg.simulate import sar_pair
 from featreg.types import Image
 
@@ -41,6 +50,20 @@ def test_a_quarter_turn_turns_the_field_by_half_a_turn(scene: F32) -> None:
     # The median is that of a sample, which a turn changes.
     assert np.abs(inside(other - expected)).max() < 0.02
     assert np.abs(turned(field, 180) - field).max() < 1e-6
+
+
+@pytest.mark.parametrize(("shape", "alpha"), [((203, 71), 0.8), ((150, 60), 3.0), ((13, 40), 6.0)])
+def test_strips_give_the_field_of_the_whole(scene: F32, shape: tuple[int, int], alpha: float) -> None:
+    view = np.ascontiguousarray(scene[: shape[0], : shape[1]])
+    gx, gy = roewa(view, alpha)
+    step = max(1, math.isqrt(view.size // 5000))
+    strength = (gx**2 + gy**2)[::step, ::step]
+    expected = (gx + 1j * gy) ** 2 / (gx**2 + gy**2 + np.median(strength[strength > 0]))
+    rim = math.ceil(alpha)
+    found = field_of(view, alpha)
+    for part, axis in ((expected.real, 0), (expected.imag, 1)):
+        assert np.abs(found[..., axis] - part)[rim:-rim, rim:-rim].max() < 2e-5
+    assert not found[:rim].any()
 
 
 def test_reversed_contrast_leaves_the_field(scene: F32) -> None:
@@ -138,6 +161,20 @@ def test_windows_measure_a_shift_and_leave_out_what_is_not_there(scene: F32) -> 
     _, within = together(found, 3.0, 0.05, 5)
     np.testing.assert_allclose(within, [[1, 0, -5], [0, 1, 3]], atol=1e-9)
     np.testing.assert_allclose(level.moved(within), [[1, 0, 0], [0, 1, 0]], atol=1e-9)
+
+
+@pytest.mark.parametrize(("side", "reach"), [(32, 6), (48, 8), (21, 3)])
+def test_sums_of_products_are_what_spectra_give(scene: F32, side: int, reach: int) -> None:
+    mask = np.ones(scene.shape, np.bool_)
+    mask[:90, 100:] = False
+    level = aligned(image(scene), image(scene, mask), np.array([[1.0, 0, 2], [0, 1, 1]]), 240, 1.2)
+    # In the corners a part of the displaced window lies outside.
+    at = np.array([[0, 0], [0, 240 - side], [240 - side, 0], [240 - side, 240 - side], [80, 91], [97, 120]])
+    found, expected = (np.zeros((len(at), 2 * reach + 1, 2 * reach + 1), np.float32) for _ in range(2))
+    _directly(level, at, side, reach, found)
+    _by_spectra(level, at, side, reach, expected)
+    assert np.abs(expected).max() > 0.5
+    np.testing.assert_allclose(found, expected, atol=3e-6)
 
 
 def test_stacked_sums_what_each_surface_holds_where_it_is_moved() -> None:
