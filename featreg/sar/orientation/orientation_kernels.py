@@ -9,6 +9,7 @@ from featreg.runtime.jit import compiled
 
 F32 = NDArray[np.float32]
 C64 = NDArray[np.complex64]
+I64 = NDArray[np.int64]
 
 
 @compiled
@@ -67,23 +68,74 @@ def highest(found: F32, energy: F32, least: np.float32, best: NDArray[np.float64
 
 
 @compiled
-def stacked(surfaces: F32, moves: NDArray[np.int64], out: NDArray[np.float64]) -> None:
+def _added(values: F32, start: int, total: F32) -> None:
+    here = np.uint64(start)
+    for k in range(np.uint64(total.shape[0])):
+        total[k] += values[here + k]
+
+
+@compiled
+def stacked(surfaces: F32, moves: I64, out: NDArray[np.float64]) -> None:
     """Fill out[h] = (sum, dy, dx) of the highest sum of the surfaces (N, K, K), each moved by moves[h, i] = (x, y)."""
     count, side = surfaces.shape[0], surfaces.shape[1]
-    reach = side // 2
-    total = np.empty((side, side), np.float32)
+    most = 0
+    for h in range(moves.shape[0]):
+        for i in range(count):
+            most = max(most, abs(moves[h, i, 0]), abs(moves[h, i, 1]))
+    # A surface that moves farther than it is wide adds nothing.
+    most = min(most, side)
+    # In a frame of zeros a moved surface is one run of values; what lies between its rows is not looked at.
+    wide = side + 2 * most
+    framed = np.zeros(count * wide * wide, np.float32)
+    for i in range(count):
+        for y in range(side):
+            start = (i * wide + most + y) * wide + most
+            for x in range(side):
+                framed[start + x] = surfaces[i, y, x]
+    total = np.empty((side - 1) * wide + side, np.float32)
     for h in range(moves.shape[0]):
         total[:] = 0
         for i in range(count):
             mx, my = moves[h, i, 0], moves[h, i, 1]
-            for y in range(max(0, -my), min(side, side - my)):
-                row = surfaces[i, y + my]
-                for x in range(max(0, -mx), min(side, side - mx)):
-                    total[y, x] += row[x + mx]
-        best = total[0, 0]
+            if abs(mx) < side and abs(my) < side:
+                _added(framed, (i * wide + most + my) * wide + most + mx, total)
+        best = total[0]
         at_y, at_x = 0, 0
         for y in range(side):
             for x in range(side):
-                if total[y, x] > best:
-                    best, at_y, at_x = total[y, x], y, x
-        out[h, 0], out[h, 1], out[h, 2] = best, at_y - reach, at_x - reach
+                if total[y * wide + x] > best:
+                    best, at_y, at_x = total[y * wide + x], y, x
+        out[h, 0], out[h, 1], out[h, 2] = best, at_y - side // 2, at_x - side // 2
+
+
+@compiled
+def _raised(values: F32, start: int, highest: F32) -> None:
+    here = np.uint64(start)
+    for k in range(np.uint64(highest.shape[0])):
+        highest[k] = max(highest[k], values[here + k])
+
+
+@compiled
+def shares_as_high(values: F32, side: int, around: I64, margin: int, at: I64, out: NDArray[np.float64]) -> None:
+    """Fill out[i] with the share of the places of the i-th surface that are as high as one of them.
+
+    Parameters
+    ----------
+    values : the surfaces (N, side, side), one after the other
+    around : (D, 2) displacements (x, y) of at most `margin`; a place is as high as the highest value at these from it
+    margin : a place lies at least so far inside
+    at : (N, 2) the place (x, y) with which all are compared, counted from the first one
+    """
+    inner = side - 2 * margin
+    highest = np.empty((inner - 1) * side + inner, np.float32)
+    for i in range(at.shape[0]):
+        first = (i * side + margin) * side + margin
+        highest[:] = -np.inf
+        for d in range(around.shape[0]):
+            _raised(values, first + around[d, 1] * side + around[d, 0], highest)
+        least, count = highest[at[i, 1] * side + at[i, 0]], 0
+        for y in range(inner):
+            for x in range(inner):
+                if highest[y * side + x] >= least:
+                    count += 1
+        out[i] = count / (inner * inner)

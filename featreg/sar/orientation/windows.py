@@ -165,17 +165,19 @@ def log10_chance(found: Surfaces, tolerance: int, affine: FloatArray | None = No
     """
     import cv2
 
+    from featreg.sar.orientation import orientation_kernels
+
     if not len(found):
         return 0.0
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * tolerance + 1,) * 2)
-    reach, total = found.reach, 0.0
-    inner = slice(tolerance, 2 * reach + 1 - tolerance)
+    around = np.argwhere(disc)[:, ::-1] - tolerance
     moves = np.zeros((len(found), 2)) if affine is None else found.xy @ affine[:, :2].T + affine[:, 2] - found.xy
-    at = np.clip(np.rint(moves).astype(int) + reach - tolerance, 0, 2 * (reach - tolerance))
-    for values, (x, y) in zip(found.values, at.tolist(), strict=True):
-        around = cv2.dilate(values, disc)[inner, inner]
-        total -= math.log(np.count_nonzero(around >= around[y, x]) / around.size)
-    return _log10_gamma_tail(total, len(found))
+    at = np.clip(np.rint(moves).astype(np.int64) + found.reach - tolerance, 0, 2 * (found.reach - tolerance))
+    shares, values = np.empty(len(found)), np.ascontiguousarray(found.values).ravel()
+    orientation_kernels.shares_as_high(
+        values, 2 * found.reach + 1, np.ascontiguousarray(around), tolerance, np.ascontiguousarray(at), shares
+    )
+    return _log10_gamma_tail(-float(np.log(shares).sum()), len(found))
 
 
 def _log10_gamma_tail(value: float, shape: int) -> float:

@@ -177,6 +177,18 @@ def test_sums_of_products_are_what_spectra_give(scene: F32, side: int, reach: in
     np.testing.assert_allclose(found, expected, atol=3e-6)
 
 
+def test_a_share_counts_the_places_near_which_a_surface_is_as_high() -> None:
+    rng = np.random.default_rng(4)
+    surfaces = rng.normal(size=(5, 15, 15)).astype(np.float32)
+    for margin in (1, 2):
+        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * margin + 1,) * 2)
+        at, shares = rng.integers(0, 15 - 2 * margin, (5, 2)), np.empty(5)
+        kernels.shares_as_high(surfaces.ravel(), 15, np.argwhere(disc)[:, ::-1] - margin, margin, at, shares)
+        for values, (x, y), share in zip(surfaces, at, shares, strict=True):
+            around = cv2.dilate(values, disc)[margin:-margin, margin:-margin]
+            assert share == np.mean(around >= around[y, x])
+
+
 def test_stacked_sums_what_each_surface_holds_where_it_is_moved() -> None:
     rng = np.random.default_rng(2)
     surfaces = rng.normal(size=(3, 7, 7)).astype(np.float32)
