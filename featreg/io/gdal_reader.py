@@ -32,6 +32,8 @@ CACHE_BYTES = 64 << 20
 #: Bands of a file; hyperspectral ones have some hundred, a damaged header may state 65 535.
 MOST_BANDS = 4096
 
+#: Bytes that an image in JPEG 2000 may state in a file of any size.
+WAVELET_BYTES = 16 << 20
 #: Map units a pixel, below which a geotransform is none.
 SMALLEST_STEP = 1e-100
 #: The name of a member of an archive, as it is given to GDAL here.
@@ -66,7 +68,7 @@ class GdalReader:
             self.dataset: Any = DatasetReader(name, driver=list(drivers))
         self.driver: str = self.dataset.driver
         self.title = self.title or (BY_NAME[self.driver].title if self.driver in BY_NAME else self.driver)
-        self.whole = self.driver in BY_NAME and BY_NAME[self.driver].whole
+        self.whole = (self.driver in BY_NAME and BY_NAME[self.driver].whole) or self._tall()
 
     @cached_property
     def bands(self) -> Sequence[Band]:
@@ -170,15 +172,31 @@ class GdalReader:
     def close(self) -> None:
         self.dataset.close()
 
+    def _tall(self) -> bool:
+        """Whether a row of blocks outgrows the cache, so that each strip of an image would be decoded anew for all of
+        them; of an image that is itself small enough to be kept.
+        """
+        (height, _), dataset = self._blocks[0] if self._blocks else (0, 0), self.dataset
+        if self.driver != "JP2OpenJPEG" or not height:
+            return False
+        row = dataset.width * sample_bytes(dataset.dtypes[0])
+        return bool(height * row > CACHE_BYTES and dataset.height * row <= ANY_BYTES)
+
     @cached_property
     def _blocks(self) -> list[tuple[int, int]]:
         return list(self.dataset.block_shapes)
 
     def _check_block(self, band: int) -> None:
-        """Raise where one block, which is read as a whole however small the window, is more than the file can hold."""
-        (height, width), each = self._blocks[band], sample_bytes(self.bands[band].dtype)
+        """Raise where one block, which is read as a whole however small the window, is more than the file can hold.
+
+        JPEG 2000 is decoded block by block even where its bytes have ended long before, each at a great cost.
+        """
+        known, (height, width) = self.bands[band], self._blocks[band]
+        each = sample_bytes(known.dtype)
         if height * width * each > ANY_BYTES:
             check_size(self.called, (height, width), each, self.files, "pixels in one block")
+        if self.driver == "JP2OpenJPEG" and known.shape[0] * known.shape[1] * each > WAVELET_BYTES:
+            check_size(self.called, known.shape, each, self.files, most=WAVELET_BYTES)
 
     def _shown(self, band: int, box: Any) -> BoolArray | None:
         """(H, W) what the file's mask band or alpha band shows of one of its bands; None where it has neither.

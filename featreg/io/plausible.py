@@ -18,7 +18,14 @@ def sample_bytes(dtype: str) -> int:
     return 8 if dtype == "complex_int16" else np.dtype(dtype).itemsize
 
 
-def check_size(called: str, shape: tuple[int, int], each: int, files: Iterable[str], what: str = "pixels") -> None:
+def check_size(
+    called: str,
+    shape: tuple[int, int],
+    each: int,
+    files: Iterable[str],
+    what: str = "pixels",
+    most: int = ANY_BYTES,
+) -> None:
     """Raise where a file states far more than its bytes can hold.
 
     Parameters
@@ -28,18 +35,19 @@ def check_size(called: str, shape: tuple[int, int], each: int, files: Iterable[s
     each : bytes that a pixel takes, of all bands together
     files : paths of those that hold the samples; what lies elsewhere is not judged
     what : what there are so many of
+    most : bytes that need no file behind them
 
     Raises
     ------
     InputError
-        More than `ANY_BYTES`, and more than `MOST_PACKED` times what the files hold.
+        More than `most`, and more than `MOST_PACKED` times what the files hold.
     """
     wanted = shape[0] * shape[1] * each
-    if wanted <= ANY_BYTES:
+    if wanted <= most:
         return
     held = sum(os.path.getsize(file) for file in files if os.path.isfile(file))
     if held and wanted > MOST_PACKED * held:
         raise InputError(
-            f"{called}: states {shape[1]} x {shape[0]} {what} ({wanted / 1e9:.1f} GB) in {held} bytes: its header is "
+            f"{called}: states {shape[1]} x {shape[0]} {what} ({wanted / 1e9:.2g} GB) in {held} bytes: its header is "
             "damaged, or it is a scene without content"
         )

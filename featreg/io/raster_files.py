@@ -32,8 +32,16 @@ OPEN_FILES = 4
 #: Side of a square of as many pixels as are read to tell the scale of real samples.
 SAMPLE = 1024
 
-#: Names one version of a file: what it is called, size, time of its last change, its number on the disk.
-Stamp: TypeAlias = tuple[str, int, int, int]
+#: Names one version of a file: what it is called, size, time of its last change, its number on the disk, and the sizes
+#: and times of what lies beside it.
+Stamp: TypeAlias = tuple[str, int, int, int, tuple[tuple[str, int, int], ...]]
+#: What may lie beside an image and say where it lies, which pixels are data, how its samples are laid out: after its
+#: whole name, and in place of its suffix.
+AFTER_NAME = (".aux.xml", ".msk", ".hdr", ".xml", ".rsc", ".ovr")
+FOR_SUFFIX = (
+    *(".hdr", ".HDR", ".aux", ".AUX", ".clr", ".CLR", ".prj", ".PRJ", ".wld", ".WLD", ".tab", ".TAB", ".stx", ".STX"),
+    *("_RPC.TXT", "_rpc.txt", ".RPB", ".rpb", ".rdc", ".sgrd", ".gri"),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +85,27 @@ def stamp_of(source: str) -> Stamp:
             known = os.stat(path / MANIFEST)
     except (OSError, ValueError):
         known = None
-    return (source, -1, -1, -1) if known is None else (source, known.st_size, known.st_mtime_ns, known.st_ino)
+    if known is None or path is None:
+        return source, -1, -1, -1, ()
+    return source, known.st_size, known.st_mtime_ns, known.st_ino, _beside(str(path))
+
+
+def _beside(path: str) -> tuple[tuple[str, int, int], ...]:
+    """Name, size and time of everything beside an image that describes it."""
+    stem, suffix = os.path.splitext(path)
+    # The letters of a world file: .tfw or .tifw of .tif.
+    letters = suffix[1:]
+    worlds = (f".{letters[:1]}{letters[-1:]}w", f".{letters}w") if letters else ()
+    names = [path + end for end in AFTER_NAME]
+    names += [stem + end for end in (*FOR_SUFFIX, *worlds, *(world.upper() for world in worlds))]
+    found = []
+    for name in names:
+        try:
+            known = os.stat(name)
+        except (OSError, ValueError):
+            continue
+        found.append((name, known.st_size, known.st_mtime_ns))
+    return tuple(found)
 
 
 @lru_cache(maxsize=64)

@@ -132,3 +132,31 @@ def test_measurements_of_radarsat_constellation_are_named_by_polarisation(tmp_pa
         objects += f'<dataObject><byteStream><fileLocation href="./imagery/{name}.tif"/></byteStream></dataObject>'
     (tmp_path / "manifest.safe").write_text(f"<XFDU><dataObjectSection>{objects}</dataObjectSection></XFDU>")
     np.testing.assert_array_equal(as_image(tmp_path, band="VH").pixels, 2.0 * BYTES)
+
+
+def test_a_header_of_jpeg_2000_that_states_too_much_is_refused_before_it_is_decoded(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.jp2", BYTES, "JP2OpenJPEG")
+    content = bytearray(path.read_bytes())
+    # The heights of image and tile stand behind the mark of the size; each part would be decoded in vain.
+    at = content.index(b"\xff\x4f\xff\x51") + 4
+    for place in (at + 8, at + 24):
+        content[place : place + 4] = (600_000).to_bytes(4, "big")
+    box = content.index(b"ihdr") + 4
+    content[box : box + 4] = (600_000).to_bytes(4, "big")
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"states 50 x 600000 pixels \(0.03 GB\) in \d+ bytes"):
+        open_source(str(path)).read(Window(0, 0, 32, 32))
+
+
+def test_tall_blocks_of_jpeg_2000_are_decoded_once(tmp_path: Path) -> None:
+    tall = np.repeat(BYTES, 60, axis=0)
+    path = write(tmp_path / "a.jp2", tall, "JP2OpenJPEG", QUALITY="100", REVERSIBLE="YES", BLOCKYSIZE=2400)
+    from featreg.io import gdal_reader
+    from featreg.io.opening import open_reader
+
+    assert not open_reader(path).whole
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(gdal_reader, "CACHE_BYTES", 50_000)
+        reader = open_reader(path)
+        assert reader.whole
+        np.testing.assert_array_equal(reader.read(0).samples, tall)

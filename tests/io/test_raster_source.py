@@ -261,3 +261,41 @@ def test_only_images_that_are_small_enough_are_read_whole(tmp_path: Path) -> Non
         found = small_image(source, 150 * 170)
         assert found is not None
         np.testing.assert_array_equal(found.pixels, as_image(source).pixels)
+
+
+def test_what_lies_beside_a_file_is_seen_when_it_changes(tmp_path: Path) -> None:
+    """A world file, a mask, statistics with a value for no data, RPC, the header of bare samples."""
+    rasterio = pytest.importorskip("rasterio")
+    samples = np.random.default_rng(0).integers(1, 99, (20, 30)).astype(np.uint16)
+    path = tmp_path / "a.tif"
+    with rasterio.open(path, "w", driver="GTiff", height=20, width=30, count=1, dtype="uint16") as dataset:
+        dataset.write(samples, 1)
+    whole = Window(0, 0, 30, 20)
+    source = RasterSource(str(path), scale="amplitude")
+    assert source.geolocation is None
+    assert source.read(whole).mask.all()
+    (tmp_path / "a.tfw").write_text("10\n0\n0\n-10\n505\n995\n")
+    assert source.geolocation is not None
+    assert source.geolocation.transform == (10, 0, 500, 0, -10, 1000)
+    (tmp_path / "a.tfw").write_text("20\n0\n0\n-20\n510\n990.0\n")
+    assert source.geolocation.transform == (20, 0, 500, 0, -20, 1000)
+    (tmp_path / "a.tfw").unlink()
+    assert source.geolocation is None
+    (tmp_path / "a.tif.aux.xml").write_text(
+        '<PAMDataset><PAMRasterBand band="1"><NoDataValue>7</NoDataValue></PAMRasterBand></PAMDataset>'
+    )
+    np.testing.assert_array_equal(source.read(whole).mask, samples != 7)
+    (tmp_path / "a.tif.aux.xml").unlink()
+    with rasterio.open(
+        tmp_path / "a.tif.msk", "w", driver="GTiff", height=20, width=30, count=1, dtype="uint8"
+    ) as mask:
+        mask.write(np.where(np.arange(30) < 9, 0, 255).astype(np.uint8)[None].repeat(20, 0), 1)
+        mask.update_tags(INTERNAL_MASK_FLAGS_1="2")
+    np.testing.assert_array_equal(source.read(whole).mask[0], np.arange(30) >= 9)
+    bare = RasterSource(str(tmp_path / "b.bil"), scale="amplitude")
+    samples.astype("<u2").tofile(tmp_path / "b.bil")
+    header = "nrows 20\nncols 30\nnbands 1\nnbits 16\npixeltype unsignedint\nbyteorder {}\nlayout bil\n"
+    (tmp_path / "b.hdr").write_text(header.format("I"))
+    np.testing.assert_array_equal(bare.read(whole).pixels, samples)
+    (tmp_path / "b.hdr").write_text(header.format("M"))
+    np.testing.assert_array_equal(bare.read(whole).pixels, samples.byteswap())
