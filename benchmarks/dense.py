@@ -1,13 +1,14 @@
 """`sar-dense` beside OpenCV's ORB in time, and what its parts are worth.
 
-    python benchmarks/dense.py [--rounds 7] [--pairs 24] [--seed 0] [--unrelated 24] [--halves]
+    python benchmarks/dense.py [--rounds 7] [--pairs 24] [--optical 12] [--seed 0] [--unrelated 24] [--halves]
                                [--picture FILE.jpg]
 
 Time: one 600 x 600 pair of real texture under fresh speckle of four looks, or a simulated one; `sar-dense`, the same
 with a model known to 10 px, and `sar-orb`, as ratios to OpenCV's ORB + brute force + GMS + MAGSAC at 2000 features.
 
-Parts: dates and change pairs, the second turned by any angle and scaled by up to 10 %, and crops of different places,
-with the global search, the verification or the further candidates left out.
+Parts: dates and change pairs, the second turned by any angle and scaled by up to 10 %, optical-SAR pairs of the data,
+and crops of different places, with the global search, the verification or the further candidates left out, and with
+locating or refinement, which are off for this method, put in.
 
 Halves: how far apart the models of two halves of the windows lie on the optical-SAR pairs of the data, which asks no
 label; half of it is about the error of the model of all.
@@ -27,6 +28,7 @@ import cv2
 import numpy as np
 from measuring import DATA, Pair, machine, measure, on_one_thread, read, real_scenes, table, warped
 from numpy.typing import NDArray
+from optical_sar import LIMIT, known_pairs
 from pairs import by_opencv
 from trust import scenes, unrelated
 
@@ -38,12 +40,16 @@ from featreg.simulate import sar_pair
 from featreg.simulate.pairs import similarity_matrix
 
 FEATURES, SIDE, RIGHT_PX = 2000, 600, 3.0
+#: The global search left out: from where both images lie, as far as windows reach at the coarsest level.
+NO_SEARCH = "the global search"
 #: What is left out -> keywords of `match`. A chance that nothing misses and an ambiguity of 1 decide nothing.
 PARTS: dict[str, dict[str, Any]] = {
     "nothing": {},
-    "verification": {"chance": -1e-6, "ambiguity": 1.0},
+    NO_SEARCH: {},
     "further candidates": {"candidates": 1},
-    "global search": {},
+    "the verification's decision": {"chance": -1e-6, "ambiguity": 1.0},
+    "nothing, locating put in": {"locate": True},
+    "nothing, refinement put in": {"refine": True},
 }
 #: Methods whose verdicts the picture shows.
 SAID = ("sar-orb", "rift", "optical-sar", "sar-dense")
@@ -113,27 +119,47 @@ def turned_pairs(rng: np.random.Generator, count: int) -> Iterator[tuple[Image, 
         yield first[:height, :width], warped(second[:height, :width], truth), truth
 
 
-def parts(rng: np.random.Generator, related: int, others: int, seed: int) -> str:
+def parts(rng: np.random.Generator, related: int, optical: int, others: int, seed: int) -> str:
     turned, places = list(turned_pairs(rng, related)), scenes(seed)[1]
+    folder = DATA / "optical_sar"
+    unlike = list(known_pairs([folder], "outline", optical)) if optical and folder.is_dir() else []
     strangers = [unrelated(rng, places) for _ in range(others)]
     rows = []
     for name, keywords in PARTS.items():
-        right = wrong = false = 0
+        same, across = [], []
         for reference, secondary, truth in turned:
             mask = cv2.warpAffine(np.ones(reference.shape, np.uint8), truth, reference.shape[::-1]) > 0
-            result = matched(reference, secondary, name, {**keywords, "secondary_mask": mask})
-            error = error_of(result.model, truth, reference.shape) if result.status == "ok" else math.inf
-            right += error <= RIGHT_PX
-            wrong += result.status == "ok" and error > RIGHT_PX
-        for reference, secondary, _ in strangers:
-            false += matched(reference, secondary, name, keywords).status == "ok"
-        rows.append([name, f"{right} of {related}", wrong, f"{false} of {others}"])
-    return table(("left out", "right", "ok and wrong", "other places ok"), rows)
+            same.append(trusted_error(reference, secondary, truth, mask, name, keywords))
+        for pair in unlike:
+            across.append(
+                trusted_error(pair.reference, pair.secondary, pair.truth, pair.secondary_mask, name, keywords)
+            )
+        false = sum(matched(one, other, name, keywords).status == "ok" for one, other, _ in strangers)
+        rows.append([name, *said(same, RIGHT_PX), *said(across, LIMIT), f"{false} of {others}"])
+    columns = ("right", "ok and wrong", "grid px")
+    return table(
+        ("left out", *columns, *(f"optical-SAR: {column}" for column in columns), "other places ok"),
+        rows,
+    )
+
+
+def trusted_error(
+    reference: Image, secondary: Image, truth: NDArray[np.float64], mask: Any, name: str, keywords: dict[str, Any]
+) -> float:
+    """Grid error of a trusted model, px; NaN where none is trusted."""
+    result = matched(reference, secondary, name, {**keywords, "secondary_mask": mask})
+    return error_of(result.model, truth, reference.shape) if result.status == "ok" else math.nan
+
+
+def said(errors: list[float], limit: float) -> list[Any]:
+    """How many of the errors are right, how many trusted and wrong, and the median of the right ones."""
+    right = [error for error in errors if error <= limit]
+    wrong = sum(error > limit for error in errors)
+    return [f"{len(right)} of {len(errors)}", wrong, float(np.median(right)) if right else "-"]
 
 
 def matched(reference: Image, secondary: Image, name: str, keywords: dict[str, Any]) -> Any:
-    if name == "global search":
-        # From where both images lie, as far as windows reach at the coarsest level.
+    if name == NO_SEARCH:
         same = Affine(np.array([[1.0, 0, 0], [0, 1, 0]]))
         keywords = {**keywords, "initial": same, "search_radius": 12 * max(reference.shape) / 128}
     return featreg.match(reference, secondary, method="sar-dense", model="similarity", seed=0, **keywords)
@@ -219,6 +245,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=7)
     parser.add_argument("--pairs", type=int, default=24)
+    parser.add_argument("--optical", type=int, default=12, help="optical-SAR pairs")
     parser.add_argument("--unrelated", type=int, default=24)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--halves", action="store_true")
@@ -229,7 +256,7 @@ def main() -> None:
     if given.rounds:
         print(f"{times(rng, given.rounds)}\n")
     if given.pairs:
-        print(parts(rng, given.pairs, given.unrelated, given.seed))
+        print(parts(rng, given.pairs, given.optical, given.unrelated, given.seed))
     if given.halves:
         print(halves())
     if given.picture:

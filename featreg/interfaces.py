@@ -113,6 +113,14 @@ class Matcher(Plugin):
         """Whether both images must be complex."""
         return False
 
+    @property
+    def taken_for_granted(self) -> str:
+        """What `match` takes for granted of the images, which `match_near` is told, in words; "" for nothing.
+
+        It is said where a result that needed it cannot be trusted.
+        """
+        return ""
+
     @abstractmethod
     def match(self, reference: Image, secondary: Image) -> Matches:
         """Return putative tie points; empty where there are none."""

@@ -181,6 +181,10 @@ _SEARCHED_TRUST = {
 # chance; what optical-sar must reach refuses them.
 _LNIFT_TRUST = {"least_inliers": 60, "significance": -140.0}
 
+# As of sar-dense: templates overlap, and the intensities of an optical and a SAR image do not compare. What keeps other
+# places out is the matcher's own test against chance.
+_RAWG_TRUST = {"uncertainty_px": 3.5, "held_out_px": 3.0, "stability_px": 2.0, "drift_px": math.inf}
+
 # Windows overlap by half. Between an optical and a SAR image they differ by 2 to 3 px where the model is right: of 38
 # such pairs and 101 crops of them, all within 5 px had a stability of at most 1.9 px. Their intensities peak elsewhere
 # than the images agree, so that windows of them drift by up to 15 px from right models. What keeps other places out is
@@ -340,6 +344,14 @@ PRESETS: dict[str, Preset] = {
         refine=False,
         common_rotation=False,
         trust=_LNIFT_TRUST,
+    ),
+    "rawg": Preset(
+        "Templates of angle-weighted ratio gradients near a model known beforehand, after RAWG 2025, FSC",
+        matcher=Part("angle-weighted-templates"),
+        filters=(Part("fsc", {"threshold": 4.0}),),
+        locate=False,
+        refine=False,
+        trust=_RAWG_TRUST,
     ),
     "c-obcls": _targets("c", "Centroids of extended targets associated by vote, cancellation", refine=True),
     "cc-obcls": _targets(

@@ -188,9 +188,12 @@ class Pipeline:
                 )
             result = self.judged(draft, *shapes, further=gates, seconds=timings, chance=chance, **known)
             steps.advance()
+        reason = with_hints(result.reason, *given)
+        if reason and initial is None and matcher.taken_for_granted:
+            reason = f"{reason}; {matcher.taken_for_granted}"
         return replace(
             result,
-            reason=with_hints(result.reason, *given),
+            reason=reason,
             reference=records[0],
             secondary=records[1],
         )
