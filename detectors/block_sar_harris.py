@@ -49,7 +49,7 @@ class BlockSarHarris(Detector):
     alpha: Positive = 2.0
     integration: Positive = 0.8
     d: Annotated[float, Interval(ge=0, lt=0.25)] = 0.04
-    threshold: Annotated[float, Ge(0)] = 0.0
+    threshold: Annotated[float, Ge(0)] = 1e-8
     floor: Annotated[float, Ge(0)] = 0.01
     support: Annotated[float, Ge(1)] = 24.0
 
