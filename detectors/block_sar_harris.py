@@ -65,7 +65,7 @@ class BlockSarHarris(Detector):
         at = found[self._chosen(found, image.shape)]
         return Features(
             xy=quadratic_peak(response, at),
-            scale=self.support,  # type: ignore[arg-type]  # one number stands for all rows
+            scale=self.support,  # one number stands for all rows
             angle=np.zeros(len(at)),
             score=response[at[:, 1], at[:, 0]].astype(np.float64),
             level=np.zeros(len(at), np.int64),
