@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,19 +32,6 @@ class GradientField:
 
     x: F32
     y: F32
-
-    @cached_property
-    def polar(self) -> tuple[F32, F32]:
-        """(H, W) float32 length, and direction in radians in [0, 2 pi], counter-clockwise as seen."""
-        import cv2
-
-        magnitude, direction = cv2.cartToPolar(self.x, self.y)
-        # Counter-clockwise as seen is the other way round than OpenCV's, whose y points down.
-        np.subtract(np.float32(2 * math.pi), direction, out=direction)
-        both = np.asarray(magnitude, np.float32), np.asarray(direction, np.float32)
-        for part in both:
-            part.flags.writeable = False
-        return both
 
 
 def octave(image: Image, alpha: float, finest: float = 1.25) -> tuple[Image, float]:

@@ -194,11 +194,11 @@ def _pooled(
     from featreg.sar.keypoints import histogram_kernels
 
     height, width = field.x.shape
-    magnitude, direction = (np.ascontiguousarray(part).ravel() for part in field.polar)
+    gx, gy = (np.ascontiguousarray(part).ravel() for part in (field.x, field.y))
     out = np.empty((len(xy), bins, pattern.shares.shape[1]), np.float32)
     xy, radius, angle = (np.ascontiguousarray(values, np.float64) for values in (xy, radius, angle))
     cell, share = pattern.nearest
-    histogram_kernels.pool(magnitude, direction, width, height, xy, radius, angle, pattern.samples, cell, share, out)
+    histogram_kernels.pool(gx, gy, width, height, xy, radius, angle, pattern.samples, cell, share, out)
     return out.reshape(len(xy), out.shape[1] * out.shape[2])
 
 

@@ -33,6 +33,30 @@ def _gather(field: F32, at: I32, values: F32) -> None:
 
 
 @compiled
+def _polar(gx: F32, gy: F32, length: F32, direction: F32) -> None:
+    """Length, and direction in radians from 0 to 2 pi, counter-clockwise as seen, to 1e-5, of gradients with y down.
+
+    atan(q) of the smaller component over the larger one by a polynomial, without branches, so that it becomes vector
+    code.
+    """
+    quarter, half, whole = np.float32(0.5 * np.pi), np.float32(np.pi), np.float32(2 * np.pi)
+    zero = np.float32(0)
+    for k in range(gx.shape[0]):
+        x, y = gx[k], -gy[k]
+        length[k] = np.sqrt(x * x + y * y)
+        along, across = x if x > zero else -x, y if y > zero else -y
+        large, small = (along, across) if along > across else (across, along)
+        q = small / (large if large > np.float32(1e-30) else np.float32(1e-30))
+        s = q * q
+        p = np.float32(-0.11643287) + s * (np.float32(0.05265332) - s * np.float32(0.01172120))
+        p = np.float32(0.99997726) + s * (np.float32(-0.33262347) + s * (np.float32(0.19354346) + s * p))
+        turn = q * p
+        turn = quarter - turn if across > along else turn
+        turn = half - turn if x < zero else turn
+        direction[k] = whole - turn if y < zero else turn
+
+
+@compiled
 def _split(place: F32, turn: np.float32, per_radian: np.float32, bins: np.float32) -> None:
     """Turn directions into places on the circle of bins, 0 to below `bins`."""
     for k in range(place.shape[0]):
@@ -43,27 +67,28 @@ def _split(place: F32, turn: np.float32, per_radian: np.float32, bins: np.float3
 
 @compiled
 def pool(
-    magnitude: F32, direction: F32, width: int, height: int, xy: F64, radius: F64, angle: F64, pattern: F32,
-    cell: I64, share: F32, out: F32,
+    gx: F32, gy: F32, width: int, height: int, xy: F64, radius: F64, angle: F64, pattern: F32, cell: I64, share: F32,
+    out: F32,
 ) -> None:  # fmt: skip
     """Histograms of the directions of the gradients around each point, in cells.
 
-    `magnitude`, `direction` (H * W,) are the flat fields, directions in radians counter-clockwise as seen, in
-    [0, 2 pi]. `pattern` (2, S) holds the samples in units of the radius, y up; a sample counts in the cells
-    `cell` (S, 4) with the shares `share` (S, 4), the largest first, 0 where it has fewer. `out` is (N, bins, cells); a
-    direction, relative to the point's angle, is shared by the two nearest bins, bin 0 being centred on the point's own
-    direction.
+    `gx`, `gy` (H * W,) are the flat components, y down, of which only what the samples meet is read. `pattern` (2, S)
+    holds the samples in units of the radius, y up; a sample counts in the cells `cell` (S, 4) with the shares `share`
+    (S, 4), the largest first, 0 where it has fewer. `out` is (N, bins, cells); a direction, relative to the point's
+    angle, is shared by the two nearest bins, bin 0 being centred on the point's own direction.
     """
     samples, bins = pattern.shape[1], out.shape[1]
     at = np.empty(samples, np.int32)
     strength, place = np.empty(samples, np.float32), np.empty(samples, np.float32)
+    across, down = np.empty(samples, np.float32), np.empty(samples, np.float32)
     per_radian = np.float32(bins / (2 * np.pi))
     for i in range(xy.shape[0]):
         turn = angle[i] % (2 * np.pi)
         c, s = np.float32(radius[i] * np.cos(turn)), np.float32(radius[i] * np.sin(turn))
         _look_up(np.float32(xy[i, 0]), np.float32(xy[i, 1]), c, s, width, height, pattern[0], pattern[1], at)
-        _gather(magnitude, at, strength)
-        _gather(direction, at, place)
+        _gather(gx, at, across)
+        _gather(gy, at, down)
+        _polar(across, down, strength, place)
         _split(place, np.float32(turn), per_radian, np.float32(bins))
         row = out[i]
         row[:] = 0
