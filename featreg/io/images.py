@@ -24,7 +24,7 @@ from featreg.io.nodata import holds_nodata
 from featreg.io.opening import read_raster, read_small_raster
 from featreg.io.reader import Raster, physical
 from featreg.io.scales import SCALES, NoContentError, check_content, complex_pixels, real_pixels
-from featreg.types import BoolArray, Image, read_only
+from featreg.types import BoolArray, Image, everywhere, read_only
 
 SMALLEST = 16
 
@@ -216,7 +216,7 @@ def _image(
             raise InputError(f"{name}: holds real {samples.dtype} samples; scale is amplitude, intensity or db")
         pixels, valid, scale = real_pixels(samples, valid, scale, name, owned, said=raster.said)
     if valid is None:
-        valid = np.ones(pixels.shape, np.bool_)
+        valid = everywhere((pixels.shape[0], pixels.shape[1]))
     else:
         pixels[~valid] = 0
     return Image(

@@ -19,6 +19,7 @@ from featreg.geometry import Affine
 from featreg.geometry.robust import irls
 from featreg.interfaces import FailedFit, Model
 from featreg.pipeline.aligned import MOST_SIDE, remapped
+from featreg.runtime.threads import side_by_side
 from featreg.sar.correlation import Peaks, local_correlations, peaks
 from featreg.sar.speckle import despeckled, despeckled_halved
 from featreg.types import BoolArray, FloatArray, Image, IntArray
@@ -43,6 +44,8 @@ LEAST_DRIFT, DRIFT_SCALE_PX = 8, 2.0
 CHOSEN_PX = 6.0
 #: Shifts of the whole image within this many samples of none belong to the peak of the model itself.
 LOBE = 4
+#: Images of more samples a side are correlated as a whole by samples of twice the side.
+MOST_WHOLE = 600
 #: Fewest windows with something to say, and least share of those that both images hold.
 LEAST_WINDOWS, LEAST_SPEAKING = 12, 1 / 3
 #: So near to the edge, px, rounding decides what lies inside.
@@ -158,8 +161,12 @@ class Agreement:
             return None
         # Of the smoothed secondary every other pixel of the reference's grid is enough.
         stride = step // 2
-        there = smaller(sampled(despeckled(secondary), model, reference.shape, stride), step // stride)
-        here, there = (contrast(view, valid) for view in (smaller(despeckled_halved(reference), step // 2), there))
+
+        def seen() -> F32:
+            view = sampled(despeckled(secondary), model, reference.shape, stride)
+            return contrast(smaller(view, step // stride), valid)
+
+        here, there = side_by_side([lambda: contrast(smaller(despeckled_halved(reference), step // 2), valid), seen])
         return cls(here, there, valid, step)
 
     @cached_property
@@ -210,7 +217,7 @@ class Agreement:
 
     @cached_property
     def whole(self) -> tuple[float, float, tuple[float, float], float]:
-        """Correlation of the whole images.
+        """Correlation of the whole images, of large ones by samples of twice the side.
 
         Returns
         -------
@@ -219,19 +226,22 @@ class Agreement:
         """
         import cv2
 
+        here, there, step, side = self.here, self.there, self.step, LOBE
+        if max(here.shape) > MOST_WHOLE:
+            here, there, step, side = smaller(here, 2), smaller(there, 2), 2 * step, side // 2
         # OpenCV's transform takes two thirds of the time of numpy's.
-        shape = tuple(fast_length(2 * n) for n in self.here.shape)
-        a, b = (cv2.dft(_framed(view, shape)) for view in (self.here, self.there))
-        norm = float(np.sqrt(np.vdot(self.here, self.here) * np.vdot(self.there, self.there))) + 1e-30
+        shape = tuple(fast_length(2 * n) for n in here.shape)
+        a, b = (cv2.dft(_framed(view, shape)) for view in (here, there))
+        norm = float(np.sqrt(np.vdot(here, here) * np.vdot(there, there))) + 1e-30
         straight = cv2.idft(cv2.mulSpectrums(b, a, 0, conjB=True), flags=cv2.DFT_SCALE) / norm
         turned = float(cv2.idft(cv2.mulSpectrums(a, b, 0), flags=cv2.DFT_SCALE).max()) / norm
-        straight = np.roll(straight, (LOBE, LOBE), (0, 1))
-        lobe = straight[: 2 * LOBE + 1, : 2 * LOBE + 1]
+        straight = np.roll(straight, (side, side), (0, 1))
+        lobe = straight[: 2 * side + 1, : 2 * side + 1]
         model = float(lobe.max())
         lobe[:] = -1.0
         row, col = divmod(int(straight.argmax()), straight.shape[1])
         other = float(straight[row, col])
-        dy, dx = (self.step * float((i - LOBE + n // 2) % n - n // 2) for i, n in zip((row, col), shape, strict=True))
+        dy, dx = (step * float((i - side + n // 2) % n - n // 2) for i, n in zip((row, col), shape, strict=True))
         return model, other, (dx, dy), turned
 
 

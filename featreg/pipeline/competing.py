@@ -15,6 +15,7 @@ from featreg.pipeline.identical import stands_still
 from featreg.pipeline.steps import Draft
 from featreg.pipeline.trust import Limits
 from featreg.pipeline.trust_measures import distinct, log10_chance
+from featreg.runtime.threads import side_by_side
 from featreg.types import BoolArray, FloatArray, Gate, Image
 
 #: Tie points within this of a model follow it, px; those of another model lie farther from it than the second.
@@ -128,9 +129,13 @@ def agreement_gates(
     agreement = Agreement.of(reference, secondary, model, without)
     if agreement is None:
         return gates, 0.0
-    whole, other, shift, turned = agreement.whole
-    windows = agreement.windows
-    elsewhere = agreement.elsewhere if windows.at_model.max() >= SAME_OBJECT else None
+
+    def elsewhere_if_near() -> float | None:
+        return agreement.elsewhere if agreement.windows.at_model.max() >= SAME_OBJECT else None
+
+    # Both are kept with the agreement.
+    side_by_side([lambda: agreement.whole, elsewhere_if_near])
+    (whole, other, shift, turned), windows, elsewhere = agreement.whole, agreement.windows, elsewhere_if_near()
     if elsewhere is not None:
         gates["scene"] = Gate(
             elsewhere,

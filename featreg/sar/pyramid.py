@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from featreg.types import BoolArray, FloatArray, Image, read_only
+from featreg.types import BoolArray, FloatArray, Image, everywhere, read_only
 
 SMALLEST = 32
 # Radius, in pixels of a level, from which a point of that level is described.
@@ -81,7 +81,7 @@ def _smaller(image: Image, levels: int, factor: float) -> tuple[Image, ...]:
         pixels = cv2.resize(before.amplitude, size, interpolation=cv2.INTER_LINEAR)
         mask: BoolArray
         if before.all_valid:
-            mask = np.ones(pixels.shape, np.bool_)
+            mask = everywhere((pixels.shape[0], pixels.shape[1]))
         else:
             share = cv2.resize(before.mask.view(np.uint8) * 255, size, interpolation=cv2.INTER_LINEAR)
             mask = share == 255
@@ -95,7 +95,7 @@ def _reduced_to(image: Image, height: int, width: int) -> Image:
 
     size = (width, height)
     pixels = np.asarray(cv2.resize(image.amplitude, size, interpolation=cv2.INTER_AREA), np.float32)
-    mask = np.ones(pixels.shape, np.bool_)
+    mask = everywhere((pixels.shape[0], pixels.shape[1]))
     if not image.all_valid:
         share = cv2.resize(image.mask.view(np.uint8) * np.uint8(255), size, interpolation=cv2.INTER_AREA)
         mask = np.asarray(share >= WHOLE)

@@ -11,7 +11,7 @@ All types are frozen dataclasses of arrays, checked where they are made. The arr
 that they were given stay as they are, and writing to them changes no object.
 """
 
-from featreg.types.arrays import BoolArray, FloatArray, IntArray, column, finite, kept, points, read_only
+from featreg.types.arrays import BoolArray, FloatArray, IntArray, column, everywhere, finite, kept, points, read_only
 from featreg.types.features import Features
 from featreg.types.gate import Gate, verdict
 from featreg.types.image import Geolocation, Image
@@ -29,6 +29,7 @@ __all__ = [
     "Matches",
     "PixelSize",
     "column",
+    "everywhere",
     "finite",
     "kept",
     "points",

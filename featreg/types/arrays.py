@@ -14,6 +14,10 @@ BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 A = TypeVar("A", bound=NDArray[Any])
 
+#: Pixels of the largest map of `everywhere` that shares its memory.
+MOST_SHARED = 1 << 25
+_true: dict[str, BoolArray] = {}
+
 
 def read_only(array: A) -> A:
     """Return `array` itself, locked against writing with all that it is a view of: for arrays that one made oneself."""
@@ -36,6 +40,18 @@ def kept(array: A) -> A:
             return read_only(array.copy())
         part = part.base
     return array
+
+
+def everywhere(shape: tuple[int, int]) -> BoolArray:
+    """Return a locked (H, W) map that is True everywhere; all but very large ones share their memory."""
+    count = shape[0] * shape[1]
+    if count > MOST_SHARED:
+        return read_only(np.ones(shape, np.bool_))
+    held = _true.get("held")
+    if held is None or held.size < count:
+        # Another thread may do the same: either is as good.
+        _true["held"] = held = read_only(np.ones(count, np.bool_))
+    return held[:count].reshape(shape)
 
 
 def points(values: ArrayLike, what: str) -> FloatArray:

@@ -249,17 +249,19 @@ def test_two_scenes_in_one_exposure_are_rivals(method: str) -> None:
     assert result.status == "unreliable"
 
 
-@pytest.mark.parametrize("period", [25, 40])
-def test_a_scene_that_repeats_has_no_one_model(period: int) -> None:
+@pytest.mark.parametrize(("period", "most"), [(25, 600), (40, 600), (40, 50)])
+def test_a_scene_that_repeats_has_no_one_model(period: int, most: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Judged by the images themselves: matchers mostly find no consensus here in the first place."""
     tile = gaussian_filter(np.random.default_rng(7).uniform(20, 160, (period, period)), 2, mode="wrap")
     ground = np.tile(tile, (SIDE // period + 1,) * 2)[:SIDE, :SIDE].astype(np.float32)
     a, b = seen(ground, 1), seen(np.roll(ground, period, 0), 2)
+    # Larger images than so many samples are looked at by coarser ones.
+    monkeypatch.setattr("featreg.pipeline.agreement.MOST_WHOLE", most)
     agreement = Agreement.of(as_image(a), as_image(b), Translation(0, 0))
     assert agreement is not None
     model, other, shift, _ = agreement.whole
     assert other > 0.7 * model
-    assert min(abs(abs(s) % period - p) for s in shift for p in (0, period)) < 5
+    assert min(abs(abs(s) % period - p) for s in shift for p in (0, period)) < (5 if most == 600 else 9)
     assert featreg.match(a, b).status == "unreliable"
 
 

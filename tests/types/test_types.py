@@ -26,7 +26,7 @@ from featreg.io.raster_source import RasterSource
 from featreg.io.window import Window
 from featreg.results.registration import Registration
 from featreg.simulate.circle import ParkingLot
-from featreg.types import Features, Geolocation, Image, Matches, kept, read_only
+from featreg.types import Features, Geolocation, Image, Matches, everywhere, kept, read_only
 from featreg.types.derived import DerivedMaps
 
 CALLS: list[tuple[str, float]] = []
@@ -443,3 +443,12 @@ def test_readers_give_their_arrays_away(monkeypatch: pytest.MonkeyPatch, tmp_pat
     for window in (Window(0, 0, 40, 40), Window(5, 5, 20, 20), Window(-5, 30, 20, 20)):
         source.read(window)
     assert shared == [True] * 10
+
+
+def test_maps_that_are_true_everywhere_share_memory_that_nobody_writes_to() -> None:
+    small, large = everywhere((3, 5)), everywhere((40, 50))
+    assert small.shape == (3, 5)
+    assert large.shape == (40, 50)
+    assert all(one.all() and one.flags.c_contiguous and not one.flags.writeable for one in (small, large))
+    assert np.shares_memory(everywhere((40, 50)), everywhere((7, 9)))
+    assert kept(small) is small
