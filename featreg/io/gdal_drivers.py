@@ -48,7 +48,6 @@ DRIVERS = (
     Driver("EHdr", "ESRI BIL", (), (".bil", ".flt"), "the .hdr of the same stem"),
     Driver("TSX", "TerraSAR-X", (), (".xml",), "the product's folder"),
     Driver("RS2", "RADARSAT-2", (), (".xml",), "the product's folder"),
-    Driver("JAXAPALSAR", "ALOS PALSAR", (), (), "the product's VOL, LED and IMG files"),
     Driver("SAR_CEOS", "CEOS SAR", (), (), ""),
     Driver("GIF", "GIF", ((0, b"GIF87a"), (0, b"GIF89a")), (".gif",), whole=True),
     Driver("WEBP", "WebP", ((8, b"WEBPVP8"),), (".webp",), whole=True),

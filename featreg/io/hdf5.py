@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from featreg.errors import InputError
 from featreg.io.cf_places import unwritten
@@ -16,6 +17,8 @@ from featreg.io.gridded import GriddedReader, Variable, missing
 from featreg.io.products.nisar import sensor_of_nisar
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
+#: Datasets in which COSMO-SkyMed keeps in-phase and quadrature along a third axis: first and second generation.
+COSMO = ("SBI", "IMG")
 #: Objects of a file that are looked at.
 MOST_OBJECTS = 20_000
 
@@ -87,11 +90,24 @@ def _variables(h5py: Any, file: Any, path: Path) -> tuple[dict[str, Variable], b
         except (OSError, RuntimeError, TypeError, ValueError, KeyError, OverflowError):
             return
         matlab = matlab or "MATLAB_class" in attributes
-        found[f"/{name}"] = Variable(f"/{name}", shape, dtype, attributes, item.__getitem__, scales, fill)
+        read = item.__getitem__
+        if len(shape) == 3 and shape[2] == 2 and dtype.kind in "if" and name.rpartition("/")[2] in COSMO:
+            pair = np.dtype([("r", dtype.newbyteorder("=")), ("i", dtype.newbyteorder("="))])
+            shape, read, dtype, scales = shape[:2], _paired(item, pair), pair, scales[:2]
+        found[f"/{name}"] = Variable(f"/{name}", shape, dtype, attributes, read, scales, fill)
 
     # Links, soft ones and those to other files, are not followed.
     file.visititems(visit)
     return found, matlab
+
+
+def _paired(item: Any, pair: np.dtype[Any]) -> Any:
+    """A reader of (H, W) pairs of numbers, of a dataset whose last axis holds them."""
+
+    def read(index: tuple[Any, ...]) -> NDArray[Any]:
+        return np.ascontiguousarray(item[(*index, slice(None))], pair[0]).view(pair)[..., 0]
+
+    return read
 
 
 def _attribute(item: Any, key: str) -> Any:

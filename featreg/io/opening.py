@@ -14,6 +14,7 @@ from featreg.io.bands import BandLike, Choice, choose, name_of, read_choice
 from featreg.io.gdal_drivers import BY_HEADER, DRIVERS, KNOWN, TOLD_BY_GDAL, driver_by_content, drivers_by_suffix
 from featreg.io.gdal_reader import GdalReader, within_folder
 from featreg.io.hdf5 import is_behind_user_block, is_classic_netcdf, is_hdf5, open_classic_netcdf, open_hdf5
+from featreg.io.palsar import PalsarReader, is_palsar
 from featreg.io.plausible import check_size, sample_bytes
 from featreg.io.product_folders import LEADING, MANIFEST, FolderTree, ZipTree, open_member, open_product, open_safe
 from featreg.io.reader import Raster, Reader
@@ -120,6 +121,8 @@ def _open_file(name: SourceName, head: bytes) -> Reader:
 
 def _by_what_lies_beside(path: Path, head: bytes) -> Reader:
     """A raster without a mark of its own, which its header beside it describes."""
+    if is_palsar(path, head):
+        return PalsarReader(path)
     for pattern, driver in LEADING:
         if pattern.fullmatch(path.name):
             return within_folder(path, GdalReader(str(path.absolute()), [driver], str(path)))

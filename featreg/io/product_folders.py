@@ -21,6 +21,7 @@ from featreg.io.calibration import Calibration, calibration_of
 from featreg.io.gdal_drivers import DRIVERS, TOLD_BY_GDAL, driver_by_content
 from featreg.io.gdal_errors import decoding
 from featreg.io.gdal_reader import GdalReader, within_archive, within_folder
+from featreg.io.palsar import VOLUME, PalsarReader
 from featreg.io.plausible import check_size, sample_bytes
 from featreg.io.products.sentinel1_tops import TopsTerms, tops_of
 from featreg.io.reader import Band, Raster, Reader
@@ -36,8 +37,7 @@ IMAGES = tuple(suffix for driver in DRIVERS for suffix in driver.suffixes if suf
 LEADING = (
     (re.compile(r"product\.xml", re.IGNORECASE), "RS2"),
     (re.compile(r"T[SD]X1_SAR__.+\.xml", re.IGNORECASE), "TSX"),
-    (re.compile(r"VOL-ALPSR.+"), "JAXAPALSAR"),
-    (re.compile(r"VOL-ALOS2?.+"), "JAXAPALSAR"),
+    (re.compile(r"DAT_\d\d\.\d{3}"), "SAR_CEOS"),
 )
 #: What a measurement of Sentinel-1 is, in its name: swath, product, polarisation.
 SENTINEL_1 = re.compile(r"s1.-(\w+?)-(\w+?)-(\w\w)-.*?(?:-(\d{3}))?\.tiff?$", re.IGNORECASE)
@@ -163,6 +163,11 @@ def open_product(tree: Tree) -> Reader | None:
         )
     if manifests:
         return open_safe(tree, manifests[0])
+    volumes = [n for n in names if VOLUME.fullmatch(posixpath.basename(n))]
+    if len(volumes) == 1:
+        if not isinstance(tree, FolderTree):
+            raise InputError(f"{tree.called}: holds a product of ALOS PALSAR, which is read unpacked; unpack it")
+        return PalsarReader(tree.folder / volumes[0])
     for pattern, driver in LEADING:
         found = [n for n in names if pattern.fullmatch(posixpath.basename(n))]
         if len(found) == 1:

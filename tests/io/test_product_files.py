@@ -1,4 +1,4 @@
-"""Products of RADARSAT-2 and TerraSAR-X as folders, made small with the elements that GDAL asks for."""
+"""Products of RADARSAT-2, TerraSAR-X and COSMO-SkyMed, made small with the elements that readers ask for."""
 
 from __future__ import annotations
 
@@ -44,6 +44,18 @@ def radarsat(folder: Path) -> Path:
         '<fullResolutionImageData pole="HV">imagery_HV.tif</fullResolutionImageData></imageAttributes></product>'
     )
     return folder
+
+
+@pytest.mark.parametrize(("name", "dtype"), [("S01/SBI", ">i2"), ("S01/IMG", "float32")])
+def test_cosmo_keeps_complex_samples_along_a_third_axis(name: str, dtype: str, tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "CSKS1_SCS.h5", "w") as file:
+        file[name] = np.stack([COMPLEX.real, COMPLEX.imag], axis=-1).astype(dtype)
+        file["S01/QLK"] = RNG.integers(0, 255, (H // 4, W // 4)).astype(np.uint8)
+    for given in (tmp_path / "CSKS1_SCS.h5", f"{tmp_path / 'CSKS1_SCS.h5'}:/{name}"):
+        np.testing.assert_array_equal(as_image(given).pixels, COMPLEX)
+        part = open_source(given).read(Window(5, 7, 30, 20))
+        np.testing.assert_array_equal(part.pixels, COMPLEX[7:27, 5:35])
 
 
 def terrasar(folder: Path) -> Path:
