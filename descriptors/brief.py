@@ -75,11 +75,10 @@ class Brief(Descriptor):
             rows, at = rows[inside], at[inside]
             if not len(rows):
                 continue
-            used, turn = np.unique(turns[rows], return_inverse=True)
             out = np.empty((len(rows), words.shape[1]), np.uint64)
             view, seen = bytes_around(level, at, math.ceil(self.radius), self.sigma)
             xs, ys = np.ascontiguousarray(seen.T)
-            binary_kernels.compare_pairs(view.ravel(), view.shape[1], xs, ys, table[used], turn, out)
+            binary_kernels.compare_pairs(view.ravel(), view.shape[1], xs, ys, table, turns[rows], out)
             words[rows] = out
             kept[rows] = True
         index = np.flatnonzero(kept)

@@ -32,6 +32,7 @@ DEFAULT = (
     "featreg.sar.gradients.ratio_kernels",
     "featreg.sar.sample_kernels",
     "featreg.sar.window_kernels",
+    "featreg.sar.speckle_kernels",
 )
 
 

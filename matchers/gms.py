@@ -77,19 +77,12 @@ class Gms(Filter):
         """The matches kept by the turn that keeps most, each turn joined over the four shifts of the grid."""
         from featreg.sar.keypoints import motion_kernels
 
-        cells = left_grid[0] * left_grid[1]
-        counts = np.empty((cells, right_grid[0] * right_grid[1]), np.int64)
-        population, best, passed = np.empty(cells, np.int64), np.empty(cells, np.int64), np.empty(cells, np.bool_)
-        turns = range(8) if self.rotation else range(1)
-        kept = [np.zeros(len(right), np.bool_) for _ in turns]
-        for left in lefts:
-            motion_kernels.count_motions(left, right, counts, population, best)
-            for turn in turns:
-                motion_kernels.verify_cells(
-                    counts, population, best, *left_grid, *right_grid, _turned(turn), self.threshold_factor, passed
-                )
-                motion_kernels.mark_matches(left, right, best, passed, kept[turn])
-        return max(kept, key=np.count_nonzero)
+        turns = _turned()[: 8 if self.rotation else 1]
+        kept = np.empty((len(turns), len(right)), np.bool_)
+        motion_kernels.matches_of_turns(
+            np.array(lefts), right, *left_grid, *right_grid, turns, float(self.threshold_factor), kept
+        )
+        return np.asarray(kept[np.count_nonzero(kept, axis=1).argmax()])
 
 
 def _sides(context: FilterContext) -> FloatArray:
@@ -130,9 +123,10 @@ def _cells(unit: FloatArray, along: FloatArray, dx: float, dy: float) -> IntArra
 
 
 @cache
-def _turned(turn: int) -> IntArray:
-    """The (dx, dy) neighbours, in reading order, after the ring was walked on by `turn` steps."""
-    ring = np.zeros((9, 2), np.int64)
-    for step, (dx, dy) in enumerate(RING):
-        ring[(dy + 1) * 3 + dx + 1] = RING[(step + turn) % 8]
-    return ring
+def _turned() -> IntArray:
+    """(8, 9, 2) the neighbours (dx, dy), in reading order, after the ring was walked on by 0, 1, ... steps."""
+    rings = np.zeros((8, 9, 2), np.int64)
+    for turn in range(8):
+        for step, (dx, dy) in enumerate(RING):
+            rings[turn, (dy + 1) * 3 + dx + 1] = RING[(step + turn) % 8]
+    return rings

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +13,8 @@ F32 = NDArray[np.float32]
 
 # Relative to the mean amplitude: darker pixels (shadow, quantised zeros) say nothing more.
 FLOOR = 1e-2
-# Pixels of a strip.
-STRIP = 1 << 16
+# Pixels of a strip, and steps of a byte for one of the natural logarithm.
+STRIP, STEPS = 1 << 16, 28
 # What the mean of the logarithm lies below the logarithm of the mean, about, of one look.
 BELOW_MEAN = 0.25
 # Side of the windows by which looks are told, variance below which one shows nothing, and the share of the most even.
@@ -53,10 +52,7 @@ def as_bytes(image: Image, logs: F32, out: NDArray[np.uint8] | None = None) -> N
     """Return smoothed logarithms of an image's amplitude in the steps of `despeckled_bytes`, in `out` if given."""
     import cv2
 
-    # The mean of the logarithm of speckle lies that much below the logarithm of its mean, about; the floor of the
-    # logarithm lies log(100) = 4.6 below the mean amplitude, so nothing turns negative.
-    middle = math.log(max(mean_amplitude(image), 1e-30)) - BELOW_MEAN
-    return np.asarray(cv2.convertScaleAbs(logs, out, alpha=28, beta=128 - 28 * middle), np.uint8)
+    return np.asarray(cv2.convertScaleAbs(logs, out, alpha=STEPS, beta=_byte_offset(image)), np.uint8)
 
 
 def equivalent_looks(image: Image) -> float:
@@ -78,8 +74,13 @@ def filled_amplitude(image: Image) -> F32:
 
 
 def _filled_amplitude(image: Image) -> F32:
-    # Invalid pixels hold 0.
-    return np.asarray(image.amplitude + np.float32(mean_amplitude(image)) * ~image.mask, np.float32)
+    from featreg.sar import speckle_kernels
+
+    amplitude = np.ascontiguousarray(image.amplitude)
+    out = np.empty_like(amplitude)
+    valid = np.ascontiguousarray(image.mask).view(np.uint8)
+    speckle_kernels.filled(amplitude.ravel(), valid.ravel(), np.float32(mean_amplitude(image)), out.ravel())
+    return out
 
 
 def log_floor(image: Image) -> np.float32:
@@ -89,7 +90,7 @@ def log_floor(image: Image) -> np.float32:
 
 def gaussian_reach(sigma: float) -> int:
     """Return how many pixels to each side a Gaussian of `sigma` pixels is taken."""
-    return round(2.5 * sigma)
+    return max(1, round(2.5 * sigma))
 
 
 def mean_amplitude(image: Image) -> float:
@@ -119,17 +120,17 @@ def _mean_amplitude(image: Image) -> float:
 
 
 def _log_amplitude(image: Image) -> F32:
-    amplitude = filled_amplitude(image)
+    from featreg.sar import speckle_kernels
+
+    amplitude = np.ascontiguousarray(filled_amplitude(image))
     out = np.empty_like(amplitude)
-    for start, stop in _strips(amplitude.shape):
-        _log_of_rows(image, amplitude, start, stop, out[start:stop])
+    speckle_kernels.logarithms(amplitude.ravel(), log_floor(image), out.ravel())
     return out
 
 
 def _despeckled(image: Image, sigma: float) -> F32:
     out = np.empty(image.shape, np.float32)
-    for start, stop, smooth in _smoothed_strips(image, sigma):
-        out[start:stop] = smooth
+    _smooth(image, sigma, slice(None), out, np.empty((0, 0), np.uint8))
     return out
 
 
@@ -140,51 +141,44 @@ def _despeckled_halved(image: Image, sigma: float) -> F32:
     out = np.empty((height, width), np.float32)
     if not out.size:
         return out
-    for start, stop, smooth in _smoothed_strips(image, sigma):
-        rows = (stop - start) // 2
-        if rows:
-            size = width, rows
-            cv2.resize(smooth[: 2 * rows, : 2 * width], size, out[start // 2 : start // 2 + rows], 0, 0, cv2.INTER_AREA)
+    reach = gaussian_reach(sigma)
+    strip = max(2, STRIP // image.shape[1] // 2 * 2)
+    for start in range(0, 2 * height, strip):
+        # Strips stay in the cache: of a large image only the amplitude is read and the result written.
+        stop = min(start + strip, 2 * height)
+        first, last = max(start - reach, 0), min(stop + reach, image.shape[0])
+        smooth = np.empty((last - first, image.shape[1]), np.float32)
+        _smooth(image, sigma, slice(first, last), smooth, np.empty((0, 0), np.uint8))
+        whole = smooth[start - first : stop - first, : 2 * width]
+        cv2.resize(whole, (width, (stop - start) // 2), out[start // 2 : stop // 2], 0, 0, cv2.INTER_AREA)
     return out
 
 
 def _despeckled_bytes(image: Image, sigma: float) -> NDArray[np.uint8]:
     out = np.empty(image.shape, np.uint8)
-    for start, stop, smooth in _smoothed_strips(image, sigma):
-        as_bytes(image, smooth, out[start:stop])
+    _smooth(image, sigma, slice(None), np.empty((0, 0), np.float32), out)
     return out
 
 
-def _smoothed_strips(image: Image, sigma: float) -> Iterator[tuple[int, int, F32]]:
-    """Rows (start, stop) of the image and their smoothed log-amplitude, which is overwritten by the next ones.
+def _smooth(image: Image, sigma: float, rows: slice, smooth: F32, steps: NDArray[np.uint8]) -> None:
+    """Write the smoothed log-amplitude of some rows to `smooth` or, in bytes, to `steps`: to that which has rows.
 
-    Strips stay in the cache: of a large image only the amplitude is read and the result written.
+    Beyond the first and the last of the rows they are mirrored.
     """
     import cv2
 
-    amplitude = filled_amplitude(image)
-    height, width = amplitude.shape
+    from featreg.sar import speckle_kernels
+
     reach = gaussian_reach(sigma)
-    side = 2 * reach + 1
-    rows = min(height, max(2, STRIP // width // 2 * 2) + 2 * reach)
-    logs, smooth = np.empty((rows, width), np.float32), np.empty((rows, width), np.float32)
-    for start, stop in _strips(amplitude.shape):
-        first, last = max(start - reach, 0), min(stop + reach, height)
-        part, out = logs[: last - first], smooth[: last - first]
-        _log_of_rows(image, amplitude, first, last, part)
-        cv2.GaussianBlur(part, (side, side), sigma, out, borderType=cv2.BORDER_REFLECT_101)
-        yield start, stop, out[start - first : stop - first]
+    taps = np.asarray(cv2.getGaussianKernel(2 * reach + 1, sigma).ravel()[reach:], np.float32)
+    # A half more rounds to the nearest.
+    offset = np.float32(_byte_offset(image) + 0.5)
+    amplitude = np.ascontiguousarray(filled_amplitude(image)[rows])
+    speckle_kernels.smoothed_logarithms(amplitude, log_floor(image), taps, np.float32(STEPS), offset, smooth, steps)
 
 
-def _strips(shape: tuple[int, int]) -> Iterator[tuple[int, int]]:
-    """(first, behind the last) row of strips of an image that stay in the cache; all but the last have even ends."""
-    height, width = shape
-    rows = max(2, STRIP // width // 2 * 2)
-    for start in range(0, height, rows):
-        yield start, min(start + rows, height)
-
-
-def _log_of_rows(image: Image, amplitude: F32, start: int, stop: int, out: F32) -> None:
-    import cv2
-
-    cv2.log(np.maximum(amplitude[start:stop], log_floor(image), out=out), out)
+def _byte_offset(image: Image) -> float:
+    """What is added to the steps of a logarithm, so that 128 is about the mean level."""
+    # The mean of the logarithm of speckle lies that much below the logarithm of its mean, about; the floor of the
+    # logarithm lies log(100) = 4.6 below the mean amplitude, so nothing turns negative.
+    return 128 - STEPS * (math.log(max(mean_amplitude(image), 1e-30)) - BELOW_MEAN)

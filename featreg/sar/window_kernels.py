@@ -6,26 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.runtime.jit import compiled
-from featreg.sar.gradients.ratio_kernels import fast_log
-from featreg.sar.keypoints.harris_kernels import smoothed_across, smoothed_along
+from featreg.sar.smoothing_kernels import mirrored, smoothed_across, smoothed_along
+from featreg.sar.speckle_kernels import logarithms
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
-
-
-@compiled
-def _mirrored(place: int, length: int) -> int:
-    """Where a place lies that is mirrored about the ends of an axis, as often as it takes."""
-    period = max(2 * (length - 1), 1)
-    place = place % period
-    return min(place, period - place) if length > 1 else 0
-
-
-@compiled
-def _log_of_row(row: F32, floor: np.float32, out: F32) -> None:
-    for x in range(out.shape[0]):
-        out[x] = fast_log(max(row[x], floor))
 
 
 @compiled
@@ -41,13 +27,13 @@ def log_windows(amplitude: F32, floor: np.float32, corners: I64, out: F32) -> No
         left, top = corners[i, 0], corners[i, 1]
         inside = left >= 0 and left + columns <= width
         for r in range(rows):
-            y = _mirrored(top + r, height)
+            y = mirrored(top + r, height)
             if inside:
-                _log_of_row(amplitude[y, left : left + columns], floor, out[i, r])
+                logarithms(amplitude[y, left : left + columns], floor, out[i, r])
             else:
                 for c in range(columns):
-                    copied[c] = amplitude[y, _mirrored(left + c, width)]
-                _log_of_row(copied, floor, out[i, r])
+                    copied[c] = amplitude[y, mirrored(left + c, width)]
+                logarithms(copied, floor, out[i, r])
 
 
 @compiled
@@ -118,14 +104,14 @@ def sampled_windows(
         map_to = affine[i]
         left, top = corners[i, 0], corners[i, 1]
         for c in range(wide):
-            x = np.float64(_mirrored(left + c, columns) - left)
+            x = np.float64(mirrored(left + c, columns) - left)
             shift_x[c], shift_y[c] = np.float32(map_to[0, 0] * x), np.float32(map_to[1, 0] * x)
         # Places are brought into the image first and into the box after that; both as seen from the box.
         x0, y0 = np.float64(starts[i, 0]), np.float64(starts[i, 1])
         low_x, high_x = np.float32(max(-x0, 0.0)), np.float32(max(min(width - 1 - x0, box_width - 1.001), 0.0))
         low_y, high_y = np.float32(max(-y0, 0.0)), np.float32(max(min(height - 1 - y0, box_height - 1.001), 0.0))
         for r in range(high):
-            y = np.float64(_mirrored(top + r, rows))
+            y = np.float64(mirrored(top + r, rows))
             base_x = np.float32(map_to[0, 0] * left + map_to[0, 1] * y + map_to[0, 2] - x0)
             base_y = np.float32(map_to[1, 0] * left + map_to[1, 1] * y + map_to[1, 2] - y0)
             for c in range(wide):

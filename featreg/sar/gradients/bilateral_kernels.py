@@ -103,26 +103,38 @@ def smooth(image: F32, unit: np.float32, steps: I64, spatial: F32, rows: I64, co
             _sum(image[top + k], change[k * wide : k * wide + width], out[top + k])
 
 
+@inlined
+def _lower(a: np.float32, b: np.float32) -> np.float32:
+    """The less of two numbers; what Python calls that has to mind NaN, which is no single instruction."""
+    return a if a < b else b
+
+
+@inlined
+def _higher(a: np.float32, b: np.float32) -> np.float32:
+    """The greater of two numbers."""
+    return a if a > b else b
+
+
 @compiled
 def _differences(a: F32, b: F32, c: F32, d: F32, here: F32, low: F32, high: F32) -> None:
     """From a row of four levels: the middle one of their three differences, the least and the greatest of them."""
     for k in range(here.shape[0]):
         before, now, after = b[k] - a[k], c[k] - b[k], d[k] - c[k]
         here[k] = now
-        low[k] = min(before, min(now, after))
-        high[k] = max(before, max(now, after))
+        low[k] = _lower(before, _lower(now, after))
+        high[k] = _higher(before, _higher(now, after))
 
 
 @compiled
 def _least(a: F32, b: F32, c: F32, out: F32) -> None:
     for k in range(out.shape[0]):
-        out[k] = min(a[k], min(b[k], c[k]))
+        out[k] = _lower(a[k], _lower(b[k], c[k]))
 
 
 @compiled
 def _greatest(a: F32, b: F32, c: F32, out: F32) -> None:
     for k in range(out.shape[0]):
-        out[k] = max(a[k], max(b[k], c[k]))
+        out[k] = _higher(a[k], _higher(b[k], c[k]))
 
 
 @compiled
@@ -131,8 +143,10 @@ def _mark(here: F32, low: F32, high: F32, threshold: np.float32, out: U8) -> Non
     for column in range(here.shape[0] - 2):
         left = np.uint64(column)
         k, right = left + np.uint64(1), left + np.uint64(2)
-        top = (here[k] >= max(high[left], max(high[k], high[right]))) & (here[k] > threshold)
-        out[k] = np.uint8(top | ((here[k] <= min(low[left], min(low[k], low[right]))) & (here[k] < -threshold)))
+        value = here[k]
+        top = (value >= high[left]) & (value >= high[k]) & (value >= high[right]) & (value > threshold)
+        bottom = (value <= low[left]) & (value <= low[k]) & (value <= low[right]) & (value < -threshold)
+        out[k] = np.uint8(top | bottom)
 
 
 @compiled

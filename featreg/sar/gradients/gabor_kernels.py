@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.runtime.jit import compiled
-from featreg.sar.gradients.ratio_kernels import fast_log
+from featreg.sar.logarithm_kernels import fast_log
 
 F32 = NDArray[np.float32]
 C64 = NDArray[np.complex64]

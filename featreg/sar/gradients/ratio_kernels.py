@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.runtime.jit import compiled, inlined
+from featreg.sar.logarithm_kernels import fast_log
 
 F32 = NDArray[np.float32]
 
@@ -97,21 +98,6 @@ def sums_from_above(image: F32, offset: np.float32, decay: np.float32, up: F32) 
             else:
                 _advance(left[k], decay, up[0, y - 1], up[0, y])
                 _advance(right[k], decay, up[1, y - 1], up[1, y])
-
-
-@inlined
-def fast_log(value: np.float32) -> np.float32:
-    """Natural logarithm of a positive normal float, to 4e-7: exponent from the bits, a polynomial for the rest.
-
-    Written without branches and calls so that a loop around it becomes vector code.
-    """
-    bits = np.float32(value).view(np.int32)
-    exponent = (bits - np.int32(0x3F3504F3)) >> np.int32(23)
-    m = np.int32(bits - (exponent << np.int32(23))).view(np.float32) - np.float32(1)
-    p = np.float32(0.20491759) + m * (np.float32(-0.18680751) + m * np.float32(0.11931054))
-    p = np.float32(0.33314675) + m * (np.float32(-0.24908289) + m * p)
-    p = np.float32(1.00000095) + m * (np.float32(-0.50001144) + m * p)
-    return np.float32(exponent) * np.float32(0.6931471805599453) + m * p
 
 
 @inlined

@@ -21,8 +21,8 @@ def compare_pairs(
     turn, `turns` (N,) the turn of each point; samples must lie inside the image.
     """
     count = table.shape[1]
-    first = np.zeros((table.shape[0], count), np.int64)
-    second = np.zeros((table.shape[0], count), np.int64)
+    first = np.empty((table.shape[0], count), np.int64)
+    second = np.empty((table.shape[0], count), np.int64)
     known = np.zeros(table.shape[0], np.bool_)
     for i in range(xs.shape[0]):
         turn = turns[i]

@@ -11,6 +11,10 @@ U8 = NDArray[np.uint8]
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
+#: Points whose centroids are computed side by side, and rows of so many numbers, as the compiler is to know them.
+LANES = 64
+ROW, ROW2, ROW3 = np.uint64(LANES), np.uint64(2 * LANES), np.uint64(3 * LANES)
+ROW4, ROW5, ROW6 = np.uint64(4 * LANES), np.uint64(5 * LANES), np.uint64(6 * LANES)
 
 
 @compiled
@@ -149,79 +153,125 @@ def intensity_centroid(image: F32 | U8, xs: I64, ys: I64, radius: int, stride: i
 
 
 @compiled
+def _add_moments(values: F64, weights: F64, row: int, sums: F64) -> None:
+    """Add one row of the 7 x 7 neighbourhoods of `LANES` points to their sums: weight, and moments along x and y.
+
+    `values` (7 * LANES,) are the columns of that row; `weights` (14 * LANES,) those along x, then those along y.
+    """
+    down = np.uint64((7 + row) * LANES)
+    for lane in range(np.uint64(LANES)):
+        k = np.uint64(lane)
+        v0, v1 = values[k] * weights[k], values[k + ROW] * weights[k + ROW]
+        v2, v3 = values[k + ROW2] * weights[k + ROW2], values[k + ROW3] * weights[k + ROW3]
+        v4, v5 = values[k + ROW4] * weights[k + ROW4], values[k + ROW5] * weights[k + ROW5]
+        v6 = values[k + ROW6] * weights[k + ROW6]
+        share = weights[k + down]
+        along = (((v0 + v1) + (v2 + v3)) + ((v4 + v5) + v6)) * share
+        sums[k] += along
+        sums[k + ROW] += ((3.0 * (v6 - v0) + 2.0 * (v5 - v1)) + (v4 - v2)) * share
+        sums[k + ROW2] += along * (row - 3)
+
+
+@compiled
+def _take_patch(edge: U8, x0: int, y0: int, dark: bool, lane: int, patch: F64) -> None:
+    """The 7 x 7 pixels from (x0, y0) on, less the least of them, or the greatest less them, as one lane of `patch`."""
+    low, high = np.int64(255), np.int64(0)
+    for r in range(7):
+        for c in range(7):
+            v = np.int64(edge[y0 + r, x0 + c])
+            low, high = min(low, v), max(high, v)
+    for r in range(7):
+        for c in range(7):
+            v = np.int64(edge[y0 + r, x0 + c])
+            patch[(7 * r + c) * LANES + lane] = high - v if dark else v - low
+
+
+@compiled
 def edge_centroid(edge: U8, xy: F64, sigma: float, iterations: int, reach: float, moved: F64, good: U8) -> None:
     """Mean shift of each point to the Gaussian-weighted 7 x 7 centroid of the edge strength around it.
 
     A point darker than its surround (the still centre of a bright scatterer) goes to the centroid of the darkness.
-    `good` is 0 where the point would leave the circle of radius `reach` around its start, and it stays there.
+    `good` is 0 where the point would leave the circle of radius `reach` around its start, and it stays there. `LANES`
+    points go on together, so that their sums are vectors.
     """
     height, width = edge.shape
     fall = -0.5 / (sigma * sigma)
-    patch = np.zeros((7, 7))
-    wx, wy, bell = np.zeros(7), np.zeros(7), np.zeros(7)
+    patch, weights, sums = np.zeros(49 * LANES), np.zeros(14 * LANES), np.zeros(3 * LANES)
+    bell = np.zeros(7)
     for k in range(7):
         bell[k] = np.exp(fall * (k - 3) ** 2)
-    for i in range(xy.shape[0]):
-        x0, y0 = xy[i, 0], xy[i, 1]
-        qx, qy = x0, y0
-        good[i] = 1
-        cx0, cy0 = int(np.rint(x0)), int(np.rint(y0))
-        ring = 0.0
-        for k in range(-3, 4):
-            ring += float(edge[cy0 - 3, cx0 + k]) + float(edge[cy0 + 3, cx0 + k])
-            if -3 < k < 3:
-                ring += float(edge[cy0 + k, cx0 - 3]) + float(edge[cy0 + k, cx0 + 3])
-        dark = float(edge[cy0, cx0]) < ring / 24.0
-        held_x, held_y = -1, -1
-        for _ in range(iterations):
-            cx, cy = int(np.rint(qx)), int(np.rint(qy))
+    qx, qy = np.zeros(LANES), np.zeros(LANES)
+    held_x, held_y = np.zeros(LANES, np.int64), np.zeros(LANES, np.int64)
+    dark, going = np.zeros(LANES, np.bool_), np.zeros(LANES, np.bool_)
+    for start in range(0, xy.shape[0], LANES):
+        lanes = min(LANES, xy.shape[0] - start)
+        for lane in range(lanes):
+            i = start + lane
+            qx[lane], qy[lane] = xy[i, 0], xy[i, 1]
+            cx, cy = int(np.rint(qx[lane])), int(np.rint(qy[lane]))
+            held_x[lane], held_y[lane] = -1, -1
+            good[i], going[lane] = 1, True
             if cx < 3 or cy < 3 or cx >= width - 3 or cy >= height - 3:
-                good[i] = 0
+                continue
+            ring = np.int64(0)
+            for k in range(-3, 4):
+                ring += np.int64(edge[cy - 3, cx + k]) + np.int64(edge[cy + 3, cx + k])
+                if -3 < k < 3:
+                    ring += np.int64(edge[cy + k, cx - 3]) + np.int64(edge[cy + k, cx + 3])
+            dark[lane] = float(edge[cy, cx]) < ring / 24.0
+        left = lanes
+        for _ in range(iterations):
+            for lane in range(lanes):
+                if not going[lane]:
+                    continue
+                cx, cy = int(np.rint(qx[lane])), int(np.rint(qy[lane]))
+                if cx < 3 or cy < 3 or cx >= width - 3 or cy >= height - 3:
+                    good[start + lane], going[lane] = 0, False
+                    left -= 1
+                    continue
+                if cx != held_x[lane] or cy != held_y[lane]:
+                    held_x[lane], held_y[lane] = cx, cy
+                    _take_patch(edge, cx - 3, cy - 3, dark[lane], lane, patch)
+                # exp(f (k - d)^2) up to a common factor, which the quotient below cancels: exp(f k^2) exp(-2 f d)^k.
+                along_x, along_y = np.exp(-2 * fall * (qx[lane] - cx)), np.exp(-2 * fall * (qy[lane] - cy))
+                back_x, back_y = 1.0 / along_x, 1.0 / along_y
+                right, left_of, below, above = 1.0, 1.0, 1.0, 1.0
+                weights[3 * LANES + lane], weights[10 * LANES + lane] = bell[3], bell[3]
+                for k in range(1, 4):
+                    right, left_of, below, above = right * along_x, left_of * back_x, below * along_y, above * back_y
+                    weights[(3 + k) * LANES + lane], weights[(3 - k) * LANES + lane] = (
+                        right * bell[k + 3],
+                        left_of * bell[3 - k],
+                    )
+                    weights[(10 + k) * LANES + lane], weights[(10 - k) * LANES + lane] = (
+                        below * bell[k + 3],
+                        above * bell[3 - k],
+                    )
+            if left == 0:
                 break
-            if cx != held_x or cy != held_y:
-                held_x, held_y = cx, cy
-                low, high = 255.0, 0.0
-                for r in range(7):
-                    for c in range(7):
-                        v = float(edge[cy + r - 3, cx + c - 3])
-                        patch[r, c] = v
-                        low = min(low, v)
-                        high = max(high, v)
-                for r in range(7):
-                    for c in range(7):
-                        patch[r, c] = high - patch[r, c] if dark else patch[r, c] - low
-            # exp(f (k - d)^2) up to a common factor, which the quotient below cancels: exp(f k^2) exp(-2 f d)^k.
-            along_x, along_y = np.exp(-2 * fall * (qx - cx)), np.exp(-2 * fall * (qy - cy))
-            wx[3] = wy[3] = 1.0
-            for k in range(1, 4):
-                wx[3 + k], wx[3 - k] = wx[2 + k] * along_x, wx[4 - k] / along_x
-                wy[3 + k], wy[3 - k] = wy[2 + k] * along_y, wy[4 - k] / along_y
-            for k in range(7):
-                wx[k] *= bell[k]
-                wy[k] *= bell[k]
-            total, sx, sy = 0.0, 0.0, 0.0
-            for r in range(7):
-                row, moment = 0.0, 0.0
-                for c in range(7):
-                    v = patch[r, c] * wx[c]
-                    row += v
-                    moment += v * (c - 3)
-                total += row * wy[r]
-                sx += moment * wy[r]
-                sy += row * wy[r] * (r - 3)
-            if total <= 0.0:
-                good[i] = 0
-                break
-            nx, ny = cx + sx / total, cy + sy / total
-            if (nx - x0) ** 2 + (ny - y0) ** 2 > reach * reach:
-                good[i] = 0
-                break
-            step = abs(nx - qx) + abs(ny - qy)
-            qx, qy = nx, ny
-            if step < 1e-2:
-                break
-        moved[i, 0] = qx if good[i] else x0
-        moved[i, 1] = qy if good[i] else y0
+            sums[:] = 0.0
+            for row in range(7):
+                _add_moments(patch[7 * row * LANES :], weights, row, sums)
+            for lane in range(lanes):
+                if not going[lane]:
+                    continue
+                i, total = start + lane, sums[lane]
+                nx, ny = qx[lane], qy[lane]
+                if total > 0.0:
+                    nx, ny = held_x[lane] + sums[LANES + lane] / total, held_y[lane] + sums[2 * LANES + lane] / total
+                if total <= 0.0 or (nx - xy[i, 0]) ** 2 + (ny - xy[i, 1]) ** 2 > reach * reach:
+                    good[i], going[lane] = 0, False
+                    left -= 1
+                    continue
+                step = abs(nx - qx[lane]) + abs(ny - qy[lane])
+                qx[lane], qy[lane] = nx, ny
+                if step < 1e-2:
+                    going[lane] = False
+                    left -= 1
+        for lane in range(lanes):
+            i = start + lane
+            moved[i, 0] = qx[lane] if good[i] else xy[i, 0]
+            moved[i, 1] = qy[lane] if good[i] else xy[i, 1]
 
 
 @compiled

@@ -114,7 +114,8 @@ def _look_up_beside(
     for i in range(at.shape[0]):
         x = np.floor(x0[i] + c[i] * u - s[i] * v + half)
         y = np.floor(y0[i] - s[i] * u - c[i] * v + half)
-        near_x, near_y = min(max(x, zero), right), min(max(y, zero), bottom)
+        near_x, near_y = x if x > zero else zero, y if y > zero else zero
+        near_x, near_y = near_x if near_x < right else right, near_y if near_y < bottom else bottom
         inside[i] = one if (x == near_x) & (y == near_y) else zero
         at[i] = np.int32(near_y) * np.int32(width) + np.int32(near_x)
 
@@ -132,7 +133,7 @@ def _lengths(gx: F32, gy: F32, cosine: F32, sine: F32, length: F32) -> None:
     """Turn gradients (y down) into lengths and unit vectors (y up) counted from an angle; none where there is none."""
     for i in range(length.shape[0]):
         length[i] = np.sqrt(gx[i] * gx[i] + gy[i] * gy[i])
-        inverse = np.float32(1) / max(length[i], np.float32(1e-30))
+        inverse = np.float32(1) / (length[i] if length[i] > np.float32(1e-30) else np.float32(1e-30))
         along, up = gx[i] * inverse, -gy[i] * inverse
         gx[i] = cosine[i] * along + sine[i] * up
         gy[i] = cosine[i] * up - sine[i] * along

@@ -71,3 +71,22 @@ def mark_matches(left: I64, right: I64, best: I64, passed: B, keep: B) -> None:
         a = left[i]
         if a >= 0 and right[i] >= 0 and passed[a] and best[a] == right[i]:
             keep[i] = True
+
+
+@compiled
+def matches_of_turns(
+    lefts: I64, right: I64, left_wide: int, left_high: int, right_wide: int, right_high: int, rings: I64, factor: float,
+    keep: B,
+) -> None:  # fmt: skip
+    """Mark in `keep` (T, M) the matches kept by each turn of `rings` (T, 9, 2) on any of the grids `lefts` (G, M)."""
+    cells = left_wide * left_high
+    counts = np.empty((cells, right_wide * right_high), np.int64)
+    population, best, passed = np.empty(cells, np.int64), np.empty(cells, np.int64), np.empty(cells, np.bool_)
+    keep[:] = False
+    for grid in range(lefts.shape[0]):
+        count_motions(lefts[grid], right, counts, population, best)
+        for turn in range(rings.shape[0]):
+            verify_cells(
+                counts, population, best, left_wide, left_high, right_wide, right_high, rings[turn], factor, passed
+            )
+            mark_matches(lefts[grid], right, best, passed, keep[turn])

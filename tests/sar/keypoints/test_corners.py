@@ -179,6 +179,41 @@ def test_a_blob_of_edges_is_centred(offset: tuple[float, float], form: str) -> N
     np.testing.assert_allclose(found[0], q, atol=0.05)
 
 
+def plain_centroid(edges: U8, start: tuple[int, int], sigma: float, reach: float) -> tuple[float, float] | None:
+    """The iterated centroid of one point, term by term; None where it runs away."""
+    ys, xs = np.mgrid[-3:4, -3:4]
+    q = np.array(start, np.float64)
+    first = edges[start[1] - 3 : start[1] + 4, start[0] - 3 : start[0] + 4].astype(np.float64)
+    ring = (first.sum() - first[1:6, 1:6].sum()) / 24
+    for _ in range(8):
+        cx, cy = np.rint(q).astype(int)
+        if not (3 <= cx < edges.shape[1] - 3 and 3 <= cy < edges.shape[0] - 3):
+            return None
+        near = edges[cy - 3 : cy + 4, cx - 3 : cx + 4].astype(np.float64)
+        near = near.max() - near if first[3, 3] < ring else near - near.min()
+        weight = near * np.exp(-((xs + cx - q[0]) ** 2 + (ys + cy - q[1]) ** 2) / (2 * sigma**2))
+        if not weight.sum() > 0:
+            return None
+        moved = np.array([cx + (weight * xs).sum() / weight.sum(), cy + (weight * ys).sum() / weight.sum()])
+        if np.hypot(*(moved - start)) > reach:
+            return None
+        step, q = np.abs(moved - q).sum(), moved
+        if step < 1e-2:
+            break
+    return float(q[0]), float(q[1])
+
+
+@pictures
+def test_the_centroid_is_that_of_the_plain_sums(picture: U8) -> None:
+    rng = np.random.default_rng(5)
+    at = rng.integers(3, np.array(picture.shape[::-1]) - 3, (150, 2))
+    found, good = refine_centroid(picture, at, 1.0)
+    for start, place, stable in zip(at, found, good, strict=True):
+        wanted = plain_centroid(picture, (int(start[0]), int(start[1])), 1.0, 2.0)
+        assert stable == (wanted is not None)
+        np.testing.assert_allclose(place, start if wanted is None else wanted, atol=1e-9)
+
+
 def test_a_blob_far_away_or_no_blob_leaves_the_point() -> None:
     x, y = grid()
     for edges in (np.rint(240 * np.exp(-0.5 * ((x - 20) ** 2 + (y - 15) ** 2) / 4)), np.full(x.shape, 7)):

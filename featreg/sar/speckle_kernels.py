@@ -1,0 +1,70 @@
+"""Compiled loops of the views of an amplitude: invalid pixels filled, logarithm, smoothed logarithm."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from featreg.runtime.jit import compiled
+from featreg.sar.logarithm_kernels import fast_log
+from featreg.sar.smoothing_kernels import mirrored, smoothed_across, smoothed_along
+
+F32 = NDArray[np.float32]
+U8 = NDArray[np.uint8]
+
+
+@compiled
+def filled(amplitude: F32, valid: U8, value: np.float32, out: F32) -> None:
+    """Copy flat `amplitude` to `out`, with `value` where `valid` is 0."""
+    for i in range(out.shape[0]):
+        out[i] = amplitude[i] if valid[i] != 0 else value
+
+
+@compiled
+def logarithms(amplitude: F32, floor: np.float32, out: F32) -> None:
+    """Logarithm of flat `amplitude`, at least that of `floor` > 0."""
+    for i in range(out.shape[0]):
+        out[i] = fast_log(amplitude[i] if amplitude[i] > floor else floor)
+
+
+@compiled
+def _in_steps(row: F32, gain: np.float32, offset: np.float32, out: U8) -> None:
+    for x in range(out.shape[0]):
+        value = gain * row[x] + offset
+        value = value if value > np.float32(0) else np.float32(0)
+        out[x] = np.uint8(np.int32(value if value < np.float32(255) else np.float32(255)))
+
+
+@compiled
+def smoothed_logarithms(
+    amplitude: F32, floor: np.float32, taps: F32, gain: np.float32, offset: np.float32, smooth: F32, steps: U8
+) -> None:
+    """Logarithm of `amplitude` (H, W), at least that of `floor`, smoothed by a symmetric filter along x and along y.
+
+    `taps` (R + 1,), R >= 1, are those of the middle and of the pixels beside it; borders are mirrored. The rows that
+    are needed at once stay in the cache. The result goes to `smooth` (H, W), or where `steps` is (H, W) there, as
+    gain * value + offset in whole numbers from 0 to 255; the other has no rows.
+    """
+    height, width = amplitude.shape
+    reach = taps.shape[0] - 1
+    side = 2 * reach + 1
+    ring = np.empty((side, width), np.float32)
+    line, total = np.empty(width + 2 * reach, np.float32), np.empty(width, np.float32)
+    places = np.empty(side, np.int64)
+    for y in range(-reach, height):
+        enter = y + reach
+        if enter < height:
+            logarithms(amplitude[enter], floor, line[reach : reach + width])
+            for k in range(1, reach + 1):
+                line[reach - k] = line[reach + mirrored(-k, width)]
+                line[reach + width - 1 + k] = line[reach + mirrored(width - 1 + k, width)]
+            smoothed_along(line, taps, ring[enter % side])
+        if y < 0:
+            continue
+        for k in range(side):
+            places[k] = mirrored(y + k - reach, height) % side
+        if steps.shape[0] > 0:
+            smoothed_across(ring, places, taps, total)
+            _in_steps(total, gain, offset, steps[y])
+        else:
+            smoothed_across(ring, places, taps, smooth[y])
