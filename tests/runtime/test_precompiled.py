@@ -54,7 +54,7 @@ def test_prepared_code_gives_the_bits_of_numba() -> None:
 
 def test_arguments_of_another_kind_are_no_call_of_it() -> None:
     in_place(motion_kernels)
-    kernel: Any = motion_kernels.mark_matches
+    kernel: Any = motion_kernels.matches_of_turns
     entry = precompiled.current(kernel)[0]
     bound = precompiled.prepared(kernel, tuple(entry["key"]))
     assert bound is not None
@@ -102,7 +102,7 @@ def changed(kernel: Any, path: Path) -> Any:
 
 def test_a_changed_source_and_a_damaged_file_are_left_to_numba(tmp_path: Path) -> None:
     in_place(motion_kernels)
-    kernel: Any = motion_kernels.mark_matches
+    kernel: Any = motion_kernels.matches_of_turns
     entry = precompiled.current(kernel)[0]
     source, content = kernel.path.read_bytes(), precompiled.file_of(kernel.path).read_bytes()
     for number, (text, kept, serves) in enumerate(
@@ -126,7 +126,7 @@ def test_an_object_that_was_cut_short_is_made_again(tmp_path: Path, monkeypatch:
     in_place(motion_kernels)
     monkeypatch.setattr(precompiled, "folder", lambda: tmp_path)
     machine = precompiled.Machine()
-    kernel: Any = motion_kernels.mark_matches
+    kernel: Any = motion_kernels.matches_of_turns
     entry, body = precompiled.current(kernel)[0], precompiled.file_of(kernel.path).read_bytes().partition(b"\n")[2]
     start, size = entry["at"]
     packed = body[start : start + size]
