@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from featreg.runtime import jit, precompiled
-from featreg.sar.keypoints import binary_kernels, motion_kernels
+from featreg.sar.keypoints import binary_kernels, corner_kernels, motion_kernels
 from featreg.warming import stale_kernels
 
 #: Kernels whose source was changed compile when they are called, until they are translated again.
@@ -101,8 +101,8 @@ def changed(kernel: Any, path: Path) -> Any:
 
 
 def test_a_changed_source_and_a_damaged_file_are_left_to_numba(tmp_path: Path) -> None:
-    in_place(motion_kernels)
-    kernel: Any = motion_kernels.matches_of_turns
+    in_place(corner_kernels)
+    kernel: Any = corner_kernels.score_of_rank  # of no other kernel, whose file would be another
     entry = precompiled.current(kernel)[0]
     source, content = kernel.path.read_bytes(), precompiled.file_of(kernel.path).read_bytes()
     for number, (text, kept, serves) in enumerate(
