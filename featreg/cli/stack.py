@@ -82,6 +82,15 @@ def stack(
             show_default="with the next two and the reference",
         ),
     ] = None,
+    dates: Annotated[
+        str | None,
+        typer.Option(
+            "--dates",
+            metavar="DAY,DAY,...",
+            help="A day (YYYYMMDD) for each image, by which the pairs are chosen.",
+            show_default="those in the files' names",
+        ),
+    ] = None,
     method: Annotated[
         str,
         typer.Option(
@@ -123,6 +132,9 @@ def stack(
     pieces.check(workers)
     if add and (reference or pairs is not None):
         raise ParameterError("--add keeps the reference and the pairs of the stack: leave --reference and --pairs out")
+    days: list[Any] | None = None if dates is None else [day.strip() for day in dates.split(",")]
+    if add and days is not None and len(days) != len(images):
+        raise ParameterError(f"--dates gives {len(days)} days for {len(images)} images, one for each is needed")
     check_output(cube, "--cube", suffixes=[".nc", ".zarr"], inputs=images)
     settings = parse_settings(common.settings, (keyword.name for keyword in KEYWORDS if keyword.option))
     given = {k: v for k, v in {**common.keywords(), **settings}.items() if v is not None}
@@ -146,13 +158,14 @@ def stack(
         }
         if add:
             made = Stack.from_json(folder / "stack.json")
-            for image in images:
-                made = made.add(image, **how)
+            for image, day in zip(images, len(images) * [None] if days is None else days, strict=True):
+                made = made.add(image, date=day, **how)
         else:
             made = register_stack(
                 images,
                 reference=_number(reference, images),
                 pairs=pairs,
+                dates=days,
                 # `auto` tries whole methods, whose parts no setting names.
                 method=method or (DEFAULT_METHOD if settings else "auto"),
                 seed=common.seed,

@@ -241,12 +241,13 @@ def _paths(pairs: Sequence[StackPair], weights: FloatArray, count: int, referenc
             other = pair.second if image == pair.first else pair.first
             if models[other] is None:
                 step = pair.model if image == pair.first else pair.model.inverse
-                models[other] = _composed(here, step)
+                models[other] = composed(here, step)
                 todo.append(other)
     return models
 
 
-def _composed(first: Model, second: Model) -> Model:
+def composed(first: Model, second: Model) -> Model:
+    """Return `first`, then `second`, as one model."""
     a, b = first.matrix, second.matrix
     if a is not None and b is not None and (a[2, :2] == 0).all() and (b[2, :2] == 0).all():
         return Affine((b @ a)[:2])

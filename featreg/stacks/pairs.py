@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
@@ -21,6 +21,8 @@ NODES, RIM = 5, 0.1
 FINEST_PX = 0.01
 #: Images that share less of their ground make no pair.
 LEAST_SHARED = 0.1
+#: Of how many times as many images as are wanted the shared ground decides which they are.
+LIKELY = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +93,12 @@ THROWN_OUT = 0.1
 
 
 def planned(
-    count: int, reference: int, pairs: Any, shared: Callable[[int, int], float | None] | None = None
+    count: int,
+    reference: int,
+    pairs: Any,
+    shared: Callable[[int, int], float | None] | None = None,
+    expected: Callable[[int, int], float] | None = None,
+    order: Sequence[int] | None = None,
 ) -> list[tuple[int, int]]:
     """Return the pairs of a stack that are matched, each (first, second) with first < second.
 
@@ -99,6 +106,9 @@ def planned(
     ----------
     count : how many images, in the order of time
     reference : number of the reference
+    expected : the coherence that is expected of two images, 0 to 1: the next ones of an image are then the later ones
+        of which most is expected on the ground they share, and images of which nothing is expected make no pair
+    order : the numbers of the images in the order of time; None where they are given in it
     pairs : None for each image with the next two and with the reference, which makes loops of three everywhere at a
         cost that grows with the number of images; "chain" for each with the next; "all"; K for each with the next K
     shared : what share of the ground of one image another shows, None where that is not known. Images that are known
@@ -111,21 +121,34 @@ def planned(
         Another value of `pairs`.
     """
 
-    def meet(i: int, k: int) -> bool:
+    times = list(range(count)) if order is None else list(order)
+
+    def share_of(i: int, k: int) -> float:
         share = None if shared is None else shared(i, k)
-        return share is None or share >= LEAST_SHARED
+        return 1.0 if share is None else share
+
+    def meet(i: int, k: int) -> bool:
+        return share_of(i, k) >= LEAST_SHARED and (expected is None or expected(i, k) > 0)
 
     def following(reach: int) -> list[tuple[int, int]]:
         found: list[tuple[int, int]] = []
-        for i in range(count):
-            found += itertools.islice(((i, k) for k in range(i + 1, count) if meet(i, k)), reach)
-        return found
+        for n, i in enumerate(times):
+            later = times[n + 1 :]
+            if expected is None:
+                best = list(itertools.islice((k for k in later if meet(i, k)), reach))
+            else:
+                # The ground is looked at of those only that may be among the best.
+                likely = sorted(later, key=lambda k: -expected(i, k))
+                some = itertools.islice((k for k in likely if meet(i, k)), LIKELY * reach)
+                best = sorted(some, key=lambda k: -expected(i, k) * share_of(i, k))[:reach]
+            found += [(min(i, k), max(i, k)) for k in best]
+        return sorted(found)
 
     if pairs is None:
         star = [(min(reference, i), max(reference, i)) for i in range(count) if i != reference]
         return sorted({pair for pair in star if meet(*pair)} | set(following(2)))
     if pairs == "chain":
-        return [(i, i + 1) for i in range(count - 1)]
+        return sorted((min(i, k), max(i, k)) for i, k in itertools.pairwise(times))
     if pairs == "all":
         return following(count)
     if isinstance(pairs, bool) or not isinstance(pairs, int | np.integer) or pairs < 1:

@@ -38,6 +38,9 @@ def register_stack(
     resume: str | Path | None = None,
     progress: Progress | None = None,
     cancel: Canceller | None = None,
+    dates: Sequence[Any] | None = None,
+    coherence: Any = None,
+    initial: Any = None,
     **keywords: Any,
 ) -> Stack:
     """Register many images of one place to one grid.
@@ -47,7 +50,14 @@ def register_stack(
     images : paths, 2-D arrays or `Image`, in the order of time
     reference : number of the image whose grid is taken, or "auto" for the one that its pairs determine best
     pairs : which pairs are matched: None for each image with the next two and with the reference, "chain" for each with
-        the next, "all", or K for each with the next K
+        the next, "all", or K for each with the next K. Where dates or `coherence` are known, the "next" are the later
+        ones of which most is expected: short time spans first, of long ones those of one season
+    dates : a day (YYYYMMDD, YYYY-MM-DD or `datetime.date`) for each image; None takes those in the files' names
+    coherence : what is expected of two images in place of what their dates tell, 0 to 1: a function of their numbers
+        or an (N, N) table; pairs of 0 are not matched
+    initial : models known beforehand: a list of models from one grid, whichever, to each image (None where none is
+        known), a dict {(i, k): model image i -> image k}, or the identity where the images lie on one grid.
+        `search_radius` counts for the pairs that have one
     method, model, seed, keywords : as in `featreg.match`, for every pair; masks and bands of one of its images are
         none of them: give `band`, and `Image` with masks of their own
     executor, workers, scheduler : what runs the pairs, or the blocks of each pair where the images are large; never
@@ -95,9 +105,9 @@ def register_stack(
             f"{', '.join(wrong)} would mean another image in every pair of a stack; give band for all images, and "
             "masks with the images (featreg.as_image(file, mask=...))"
         )
-    options = {"method": method, "model": model, "seed": int(seed), **keywords}
+    options = {"method": method, "model": model, "seed": int(seed), "initial": initial, **keywords}
     how = {"executor": executor, "workers": workers, "scheduler": scheduler, "resume": resume, "cancel": cancel}
-    return registered(Stack, given, reference, pairs, options, progress, how)
+    return registered(Stack, given, reference, pairs, options, progress, how, dates, coherence)
 
 
 def _shown(value: Any) -> str:

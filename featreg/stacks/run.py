@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from featreg.displacement.mintpy import DAY
 from featreg.errors import InputError, ParameterError
 from featreg.geometry import Affine
 from featreg.interfaces import FailedFit, Model
@@ -30,7 +29,9 @@ from featreg.runtime.watching import Progress, check_watch
 from featreg.scene.state import ArrayFiles, digest_of
 from featreg.stacks.closure import closure_of, loops
 from featreg.stacks.dense import measured_again
+from featreg.stacks.expected import days_of_images, expected_coherence, in_order
 from featreg.stacks.ground import SharedGround
+from featreg.stacks.initial import initial_of, initials, with_one_more
 from featreg.stacks.jumps import jumps
 from featreg.stacks.network import adjust
 from featreg.stacks.pairs import StackPair, planned, weighed
@@ -57,25 +58,31 @@ def registered(
     options: Mapping[str, Any],
     progress: Progress | None,
     how: Mapping[str, Any],
+    dates: Sequence[Any] | None = None,
+    coherence: Any = None,
 ) -> Stack:
     """Return what `featreg.register_stack` does, of arguments that were checked; `kind` is the class of it."""
     count = len(given)
-    work = _Work(given, options, progress, how)
+    work = _Work(
+        given, {**options, "initial": initials(options.get("initial"), count)}, progress, how, dates, coherence
+    )
     if reference == "auto":
-        work.match(planned(count, 0, 2 if pairs is None else pairs, work.shared))
+        work.match(work.planned(0, 2 if pairs is None else pairs))
         chosen = _best(work.found.values(), count)
     else:
         chosen = int(reference)
-    work.match(planned(count, chosen, pairs, work.shared))
+    work.match(work.planned(chosen, pairs))
     _second_chances(work, chosen, count)
     return _assembled(kind, work, chosen, pairs)
 
 
 def added(stack: Stack, image: Any, **how: Any) -> Stack:
     """Return `Stack.add`."""
-    unknown = set(how) - {"executor", "workers", "scheduler", "resume", "cancel", "progress"}
+    unknown = set(how) - {"executor", "workers", "scheduler", "resume", "cancel", "progress", "initial", "date"}
     if unknown:
-        raise ParameterError(f"add knows how the work is run, not {', '.join(sorted(unknown))}")
+        raise ParameterError(
+            f"add knows how the work is run, and date and initial of the image, not {', '.join(sorted(unknown))}"
+        )
     options, pairs = dict(stack.provenance["options"]), stack.provenance["pairs"]
     lost = sorted(name for name, value in options.items() if isinstance(value, Unkept))
     if lost:
@@ -89,12 +96,27 @@ def added(stack: Stack, image: Any, **how: Any) -> Stack:
     worker_count(how.get("workers"))
     check_executor(how.get("executor"))
     check_watch(progress, how.get("cancel"))
-    work = _Work([*stack.images, image], options, progress, how)
+    dates = _dates_with(stack, image, how.pop("date", None))
+    options["initial"] = with_one_more(options.get("initial"), how.pop("initial", None), len(stack.images) + 1)
+    work = _Work([*stack.images, image], options, progress, how, dates)
     work.found = {(pair.first, pair.second): pair for pair in stack.pairs}
-    wanted = planned(len(work.images), stack.reference, pairs, work.shared)
+    wanted = work.planned(stack.reference, pairs)
     work.match([pair for pair in wanted if len(stack.images) in pair])
     _second_chances(work, stack.reference, len(work.images), only=len(stack.images))
     return _assembled(type(stack), work, stack.reference, pairs)
+
+
+def _dates_with(stack: Stack, image: Any, date: Any) -> list[Any] | None:
+    """The days of a stack's images and of one more; None where they are not told, so that the names may tell them."""
+    known = stack.provenance.get("dates")
+    if known is None:
+        if date is not None:
+            raise ParameterError("the images of this stack have no dates, so that one of the new image says nothing")
+        return None
+    if date is not None:
+        return [*known, date]
+    named = days_of_images([str(image)], None) if isinstance(image, str | Path) else None
+    return None if named is None else [*known, *named]
 
 
 def reading_of(options: Mapping[str, Any]) -> dict[str, Any]:
@@ -106,7 +128,13 @@ class _Work:
     """The images of a stack and the pairs matched so far."""
 
     def __init__(
-        self, images: list[Any], options: Mapping[str, Any], progress: Progress | None, how: Mapping[str, Any]
+        self,
+        images: list[Any],
+        options: Mapping[str, Any],
+        progress: Progress | None,
+        how: Mapping[str, Any],
+        dates: Sequence[Any] | None = None,
+        coherence: Any = None,
     ) -> None:
         self.options, self.progress, self.how = dict(options), progress, dict(how)
         reading = reading_of(options)
@@ -115,12 +143,29 @@ class _Work:
         self.names = [str(image) if isinstance(image, str | Path) else f"image {i}" for i, image in enumerate(images)]
         self.shared = SharedGround(self.sources)
         self.found: dict[tuple[int, int], StackPair] = {}
-        days = [DAY.search(Path(name).name) for name in self.names]
-        known = [day[0] for day in days if day is not None]
-        if len(known) == len(days) and known != sorted(known):
+        self.days = days_of_images(self.names, dates)
+        self.order = in_order(len(images), self.days)
+        self.expected = expected_coherence(len(images), self.days, coherence)
+        if self.order != sorted(self.order):
             logger.warning(
-                "the days in the images' names do not ascend: images are taken in the order of time as given"
+                "the days of the images do not ascend: jumps are looked for in the order in which they are given"
             )
+        self.done = self.wanted = 0
+
+    def planned(self, reference: int, pairs: Any) -> list[tuple[int, int]]:
+        """The pairs to match."""
+        return planned(len(self.images), reference, pairs, self.shared, self.expected, self.order)
+
+    def farness(self, i: int, image: int) -> tuple[float, int, int]:
+        """What grows with how little is expected of two images."""
+        return 0.0 if self.expected is None else -self.expected(i, image), abs(i - image), i
+
+    def options_of(self, pair: tuple[int, int]) -> dict[str, Any]:
+        """The keywords with which one pair is matched."""
+        options, initial = dict(self.options), initial_of(self.options.get("initial"), *pair)
+        if initial is not None:
+            return {**options, "initial": initial}
+        return {name: value for name, value in options.items() if name not in ("initial", "search_radius")}
 
     def match(self, wanted: Sequence[tuple[int, int]]) -> None:
         """Match what is not matched yet."""
@@ -133,20 +178,22 @@ class _Work:
             if kept is not None:
                 self.found[pair] = kept.numbered(*pair)
                 todo.remove(pair)
-        total = len(todo)
-        for done, (pair, result) in enumerate(self._run(todo), 1):
+        # Batches follow each other, and their number is not known before: what is counted never goes back.
+        self.wanted += len(todo)
+        for pair, result in self._run(todo):
             self.found[pair] = result
             if folder is not None:
                 text = json.dumps(result.to_dict(), allow_nan=False)
                 files[pair].save("result", {"pair": np.array(text)})
+            self.done += 1
             if self.progress is not None:
-                self.progress(done, total)
+                self.progress(self.done, self.wanted)
 
     def _digest(self, pair: tuple[int, int]) -> str:
         return digest_of(
             {
                 "inputs": [self.sources[i].identity() for i in pair],
-                "options": _options_digest(self.options),
+                "options": _options_digest(self.options_of(pair)),
                 "versions": versions(),
             }
         )
@@ -166,18 +213,18 @@ class _Work:
                     blocks["resume"] = None if folder is None else Path(folder) / "blocks"
                     yield (
                         pair,
-                        match_pair({**self.options, **blocks}, (*pair, self.images[pair[0]], self.images[pair[1]])),
+                        match_pair((*pair, self.images[pair[0]], self.images[pair[1]], self.options_of(pair) | blocks)),
                     )
                 return
             tasks = stack.enter_context(open_executor(runner, workers))
-            items = [(*pair, *(self.images[i] for i in pair)) for pair in todo]
-            for position, result in tasks.run(match_pair, (self.options,), items, cancel):
+            items = [(*pair, *(self.images[i] for i in pair), self.options_of(pair)) for pair in todo]
+            for position, result in tasks.run(match_pair, (), items, cancel):
                 yield todo[position], result
 
 
-def match_pair(options: Mapping[str, Any], item: tuple[int, int, Any, Any]) -> StackPair:
-    """Match one pair of a stack."""
-    first, second, reference, secondary = item
+def match_pair(item: tuple[int, int, Any, Any, Mapping[str, Any]]) -> StackPair:
+    """Match one pair of a stack: its numbers, its images, and the keywords of `featreg.match`."""
+    first, second, reference, secondary, options = item
     result = match(reference, secondary, **options)
     shape = result.reference.shape if result.reference is not None else open_source(reference).shape
     again = None
@@ -237,7 +284,7 @@ def _second_chances(work: _Work, reference: int, count: int, only: int | None = 
         for image in lost:
             open_ = [
                 i
-                for i in sorted(reached, key=lambda i: (abs(i - image), i))
+                for i in sorted(reached, key=lambda i: work.farness(i, image))
                 if tuple(sorted((i, image))) not in work.found and work.shared(i, image) != 0
             ]
             more += [(min(open_[0], image), max(open_[0], image))] if open_ else []
@@ -271,7 +318,14 @@ def _assembled(kind: type[Stack], work: _Work, reference: int, pairs: Any) -> St
     closed = loops(ordered)
     status = ["ok" if model is not None else "left out" for model in made.models]
     reasons = ["" if model is not None else _why(made.pairs, i) for i, model in enumerate(made.models)]
-    provenance = {"options": work.options, "pairs": pairs, "unit_variance": made.unit, "versions": versions()}
+    dates = None if work.days is None else [day.isoformat() for day in work.days]
+    provenance = {
+        "options": work.options,
+        "pairs": pairs,
+        "dates": dates,
+        "unit_variance": made.unit,
+        "versions": versions(),
+    }
     stack = kind(
         work.names, reference, shape, made.models, status, reasons, made.standard_errors,
         [closure_of(closed, i) for i in range(count)], closed, [], made.pairs, provenance, work.images,

@@ -165,7 +165,9 @@ class Stack(Shown):
     def add(self, image: Any, **keywords: Any) -> Stack:
         """Return the stack with one more date at its end; only the pairs of the new image are matched.
 
-        `keywords` say how the work is run: executor, workers, resume, progress, cancel.
+        `keywords` say how the work is run (executor, workers, resume, progress, cancel), and of the image its `date`
+        and `initial`: a model from the grid of the others' initial models, or a dict of its pairs, as
+        `featreg.register_stack` has them.
         """
         from featreg.stacks.run import added
 
