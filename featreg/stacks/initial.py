@@ -12,7 +12,7 @@ from featreg.geometry import as_model
 from featreg.interfaces import Model
 from featreg.stacks.network import composed
 
-FORMS = "give a list of models from one grid to each image, None where none is known, or a dict {(i, k): model} of the pairs"
+FORMS = "give a list of models from one grid to each image, None where unknown, or a dict {(i, k): model} of pairs"
 
 
 def initials(given: Any, count: int) -> dict[str, Any] | None:

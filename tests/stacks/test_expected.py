@@ -22,7 +22,7 @@ JOB: Any = {"model": "rigid", "workers": 1}
 
 
 def shift(x: float, y: float = 0.0) -> Affine:
-    return Affine([[1, 0, x], [0, 1, y]])
+    return Affine(np.array([[1, 0, x], [0, 1, y]]))
 
 
 def plan(days: list[str], pairs: Any = 1, **more: Any) -> list[tuple[int, int]]:
@@ -54,7 +54,7 @@ def test_dates_in_any_order_make_the_chain_of_time() -> None:
 
 def test_of_the_likely_those_that_share_more_ground() -> None:
     days = ["20230101", "20230113", "20230125", "20230206"]
-    shared = {(0, 1): 0.3, (0, 2): 0.9}
+    shared = {(0, 1): 0.3, (0, 2): 0.9, (0, 3): 0.5}
     assert (0, 2) in plan(days, shared=lambda i, k: shared.get((i, k)))
     assert (0, 1) not in plan(days, shared=lambda i, k: shared.get((i, k)))
 
