@@ -7,13 +7,14 @@ from typing import Any, cast
 
 import numpy as np
 
-from featreg.errors import InputError
+from featreg.errors import InputError, ParameterError
 from featreg.io import ImageLike, as_image
 from featreg.io.bands import BandLike
 from featreg.io.data_arrays import DataArrayReader, is_data_array
 from featreg.io.raster_files import is_same
-from featreg.io.raster_source import located_source
+from featreg.io.raster_source import located_source, open_source
 from featreg.products.data_arrays import blanked, warped_data_array
+from featreg.products.deramping import ramp_of
 from featreg.products.resample import model_of, resample, stated_shape
 from featreg.results.registration import Registration
 from featreg.types import Image
@@ -26,6 +27,7 @@ def warp(
     like: ImageLike | tuple[int, int] | None = None,
     resampling: str = "lanczos",
     band: BandLike = None,
+    deramp: bool = False,
 ) -> Any:
     """Return the secondary image on the reference grid.
 
@@ -37,6 +39,7 @@ def warp(
         DataArray the result has the coordinates
     resampling : "nearest", "bilinear", "cubic" or "lanczos"
     band : of a file or DataArray of several bands; by default that which was matched
+    deramp : interpolate complex samples without their phase ramp and put it back, as `featreg.warp_file` does
 
     Returns
     -------
@@ -50,12 +53,14 @@ def warp(
         There is no model, the reference's size is not known, or the secondary cannot be used or has another size than
         the one that was matched (`featreg.warp_file` takes other pixel sizes).
     ParameterError
-        An unknown resampling.
+        An unknown resampling; `deramp` without complex samples, or of a DataArray.
     """
     model = model_of(registration)
     shape, known = _reference_shape(registration, like), registration.secondary
     band = known.band if band is None and known is not None else band
     if is_data_array(secondary):
+        if deramp:
+            raise ParameterError("deramp is for files and arrays; of a DataArray give its values")
         _check_size(DataArrayReader(secondary).shape, registration)
         place = None if registration.reference is None else registration.reference.geolocation
         facts = {"status": registration.status, "reason": registration.reason}
@@ -71,7 +76,12 @@ def warp(
             of_file["calibrate"] = known.calibration
     image = as_image(secondary, **of_file)
     _check_size(image.shape, registration)
-    warped = resample(image, model, shape, resampling=resampling)
+    ramp = None
+    if deramp:
+        if not image.is_complex:
+            raise ParameterError(f"{image.name}: holds {image.source_dtype} samples, deramp needs complex ones")
+        ramp = ramp_of(open_source(secondary if of_file else image, **of_file))
+    warped = resample(image, model, shape, resampling=resampling, ramp=ramp)
     return blanked(warped.pixels, warped.mask)
 
 

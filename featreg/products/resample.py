@@ -13,6 +13,7 @@ from featreg.errors import InputError, ParameterError, suggest
 from featreg.interfaces import FailedFit, Model
 from featreg.io.source import Source
 from featreg.io.window import Window
+from featreg.products.deramping import Ramp, with_ramp, without_ramp
 from featreg.products.lattice import Lattice, lattice_of
 from featreg.results.registration import Registration
 from featreg.types import BoolArray, FloatArray, Image, read_only
@@ -25,7 +26,12 @@ logger = logging.getLogger(__name__)
 
 
 def resample(
-    image: Image, model: Callable[[FloatArray], FloatArray], shape: tuple[int, int], *, resampling: str = "lanczos"
+    image: Image,
+    model: Callable[[FloatArray], FloatArray],
+    shape: tuple[int, int],
+    *,
+    resampling: str = "lanczos",
+    ramp: Ramp | None = None,
 ) -> Image:
     """Return `image` on another grid.
 
@@ -35,6 +41,8 @@ def resample(
     model : maps (N, 2) float64 points (x, y) of the new grid to points of `image`
     shape : (H, W) of the new grid
     resampling : "nearest", "bilinear", "cubic" (4 x 4 pixels) or "lanczos" (8 x 8)
+    ramp : phase of complex samples that is taken out for the interpolation and put back, of
+        `featreg.products.deramping.ramp_of`
 
     Returns
     -------
@@ -55,8 +63,7 @@ def resample(
     4e-7, sums are made in float32. Lanczos is within 0.4 % up to a fifth of the Nyquist frequency and within 3 % up to
     0.7 of it, cubic within 0.5 % and 37 %: lanczos suits speckle and complex samples, cubic suits smooth maps.
     Amplitude is cut at 0, since cubic and lanczos swing below it beside bright points. A model that shrinks the image
-    is not low-passed; complex samples with a Doppler centroid or a phase ramp far from 0 need it removed before
-    (`featreg.warp_file` does with ``deramp=True``).
+    is not low-passed; complex samples with a Doppler centroid or a phase ramp far from 0 need `ramp`.
 
     References
     ----------
@@ -70,10 +77,15 @@ def resample(
         raise ParameterError(f"shape must be (H, W) of at least 1 x 1, got {shape}")
     pixels: NDArray[Any] = np.empty((height, width), image.pixels.dtype)
     mask = np.empty((height, width), np.bool_)
-    whole = Support(image.pixels, image.mask, resampling)
+    flat = image.pixels if ramp is None else without_ramp(image.pixels, ramp, 0, 0)
+    whole = Support(flat, image.mask, resampling)
     for rows, cols in tiles(height, width):
         size = rows.stop - rows.start, cols.stop - cols.start
-        pixels[rows, cols], mask[rows, cols] = whole.sample(lattice_of(model, cols.start, rows.start, size))
+        lattice = lattice_of(model, cols.start, rows.start, size)
+        values, good = whole.sample(lattice)
+        if ramp is not None:
+            values, good = with_ramp(values, good, ramp, lattice, TAPS[resampling] // 2)
+        pixels[rows, cols], mask[rows, cols] = values, good
     if not image.is_complex:
         np.maximum(pixels, 0, out=pixels)
     # Interpolated 8-bit samples are no longer 8-bit: they swing beyond 255.

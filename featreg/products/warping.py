@@ -20,17 +20,16 @@ from featreg.io.bands import BandLike, listing
 from featreg.io.calibration import check_calibration
 from featreg.io.gdal_errors import quiet
 from featreg.io.opening import open_reader
-from featreg.io.products.sentinel1_tops import tops_of
 from featreg.io.raster_files import is_same
 from featreg.io.raster_source import RasterSource, Window
 from featreg.io.source_names import parse_source
 from featreg.io.writers import refuse_input, replacing
 from featreg.products.coherence import coherence as coherence_of
 from featreg.products.coherence import window_size
+from featreg.products.deramping import Ramp, ramp_of, stated_ramp, with_ramp, without_ramp
 from featreg.products.files import Runner, bounded_cache, cloud_optimised, rasterio_window, tiled_tiff
 from featreg.products.grid import Grid, grid_model, inputs_of, reference_grid
 from featreg.products.lattice import Lattice, lattice_of
-from featreg.products.phase_ramp import PhaseRamp, estimate_phase_ramp
 from featreg.products.resample import TAPS, Support, support_box
 from featreg.products.samples import Encoding, encoding_of
 from featreg.products.stac import SampleKind, acquired, check_item, write_item
@@ -70,7 +69,7 @@ class Product:
     bands: tuple[int, ...]
     georeferenced: bool
     valid: float
-    ramp: PhaseRamp | TopsPhase | None = None
+    ramp: Ramp | None = None
     coherence: float | None = None
     items: tuple[Path, ...] = ()
 
@@ -176,8 +175,8 @@ def warp_file(
     if coherence is not None and len(sources) > 1:
         raise ParameterError(f"{secondary}: has {len(sources)} bands, the coherence is that of one; give its number")
     partner = None if coherence is None else _partner(grid, registration)
-    ramp = _ramp(sources[0]) if deramp else None
-    if not deramp and resampling != "nearest" and sources[0].is_complex and _stated_ramp(sources[0]) is not None:
+    ramp = ramp_of(sources[0]) if deramp else None
+    if not deramp and resampling != "nearest" and sources[0].is_complex and stated_ramp(sources[0]) is not None:
         logger.warning(
             "%s: is a TOPS image, whose phase ramp no interpolator carries: its phase will be wrong without deramp "
             "(--deramp)",
@@ -240,7 +239,7 @@ class _Job:
     encodings: tuple[Encoding, ...]
     model: Model
     resampling: str
-    ramp: PhaseRamp | TopsPhase | None
+    ramp: Ramp | None
 
     def render(self, window: Window) -> tuple[NDArray[Any], int]:
         """Return the numbers (bands, h, w) of a window and how many pixels of its first band are data."""
@@ -271,15 +270,10 @@ class _Job:
         image = source.read(box)
         pixels: NDArray[Any] = image.pixels
         if self.ramp is not None:
-            x, y = np.arange(box.x, box.x + box.width), np.arange(box.y, box.y + box.height)
-            pixels = pixels * self.ramp.factor(x, y[:, None], -1)
+            pixels = without_ramp(pixels, self.ramp, box.x, box.y)
         values, mask = Support(pixels, image.mask, self.resampling).sample(lattice.moved(-box.x, -box.y))
-        if isinstance(self.ramp, TopsPhase):
-            # A sample that rests on two bursts is made of two views with different phases.
-            mask = mask & self.ramp.whole(lattice.positions()[1], TAPS[self.resampling] // 2)
-            values = np.where(mask, values, np.complex64(0))
         if self.ramp is not None:
-            values = values * np.where(mask, self.ramp.factor(*lattice.positions(), 1), 0)
+            values, mask = with_ramp(values, mask, self.ramp, lattice, TAPS[self.resampling] // 2)
         return (values if image.is_complex else np.maximum(values, 0)), mask
 
 
@@ -331,32 +325,6 @@ def _partner(grid: Grid, registration: Registration) -> RasterSource:
     if not source.is_complex:
         raise InputError(f"{grid.path}: the reference holds {source.dtype} samples, coherence needs complex ones")
     return source
-
-
-def _stated_ramp(source: RasterSource) -> TopsPhase | None:
-    """The phase that the product of a source states; None where it states none."""
-    choice = source.head.choice
-    reader = open_reader(source.path)
-    try:
-        terms = tops_of(reader, choice.bands[0]) if choice.how == "one" else None
-    finally:
-        reader.close()
-    return None if terms is None else TopsPhase(terms)
-
-
-def _ramp(source: RasterSource) -> PhaseRamp | TopsPhase:
-    stated = _stated_ramp(source)
-    if stated is not None:
-        return stated
-
-    def read(x: int, y: int, width: int, height: int) -> tuple[NDArray[Any], BoolArray]:
-        image = source.read(Window(x, y, width, height))
-        return image.pixels, image.mask
-
-    try:
-        return estimate_phase_ramp(read, source.shape)
-    except InputError as error:
-        raise InputError(f"{source.path}: {error}") from error
 
 
 def _write_coherence(

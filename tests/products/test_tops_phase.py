@@ -12,10 +12,11 @@ import rasterio
 
 from featreg.cli.info import describe
 from featreg.cli.main import main
-from featreg.errors import InputError
+from featreg.errors import InputError, ParameterError
 from featreg.geometry import Affine
 from featreg.io.opening import open_reader
 from featreg.io.products.sentinel1_tops import tops_of, tops_terms
+from featreg.products.in_memory import warp
 from featreg.products.tops_phase import TopsPhase
 from featreg.products.warping import warp_file
 from featreg.results.input_image import InputImage
@@ -137,6 +138,8 @@ def test_bursts_are_interpolated_right_with_deramping_and_wrong_without(
         errors[deramp] = np.linalg.norm((values - wanted)[good]) / np.linalg.norm(wanted[good])
         # No sample is made of two bursts.
         assert np.isnan(values[LINES - 1]).all() == deramp
+    inside = warp(registration(burst), burst, deramp=True)
+    np.testing.assert_allclose(inside[good], values[good], atol=1e-4)
     assert errors[True] < 0.03
     assert errors[False] > 0.5
 
@@ -183,6 +186,15 @@ def test_what_is_said_of_it(burst: Path, capsys: pytest.CaptureFixture[str], tmp
 def test_a_broken_annotation_is_refused(change: Callable[[str], str]) -> None:
     with pytest.raises(InputError, match=r"a\.xml: does not state the phase of its bursts"):
         tops_terms("a.xml", change(annotation()).encode(), (LINES * BURSTS, WIDTH))
+
+
+def test_what_cannot_be_deramped_in_memory() -> None:
+    known = InputImage("array", (40, 40))
+    result = Registration(
+        Matches.empty(), {}, np.zeros(0, bool), Affine(np.eye(3)[:2]), "ok", "", reference=known, secondary=known
+    )
+    with pytest.raises(ParameterError, match="deramp needs complex ones"):
+        warp(result, np.random.default_rng(0).random((40, 40)), deramp=True)
 
 
 def test_other_images_have_no_bursts() -> None:
