@@ -4,7 +4,8 @@
                                [--picture FILE.jpg]
 
 Time: one 600 x 600 pair of real texture under fresh speckle of four looks, or a simulated one; `sar-dense`, the same
-with a model known to 10 px, and `sar-orb`, as ratios to OpenCV's ORB + brute force + GMS + MAGSAC at 2000 features.
+and `rawg` with a model known to 10 px, and `sar-orb`, as ratios to OpenCV's ORB + brute force + GMS + MAGSAC at 2000
+features.
 
 Parts: dates and change pairs, the second turned by any angle and scaled by up to 10 %, optical-SAR pairs of the data,
 and crops of different places, with the global search, the verification or the further candidates left out, and with
@@ -82,6 +83,9 @@ def times(rng: np.random.Generator, rounds: int) -> str:
         "sar-dense": lambda: featreg.match(reference, secondary, method="sar-dense", **common),
         "sar-dense, known to 10 px": lambda: featreg.match(
             reference, secondary, method="sar-dense", initial=known, search_radius=10, **common
+        ),
+        "rawg, known to 10 px": lambda: featreg.match(
+            reference, secondary, method="rawg", initial=known, search_radius=10, **common
         ),
     }
     spent = measure(runs, rounds)

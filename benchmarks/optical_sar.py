@@ -1,7 +1,8 @@
 """Optical images against SAR images: folders of pairs in, one table out.
 
     python benchmarks/optical_sar.py [--folder DIR ...] [--truth outline|identity] [--methods all|a,b] [--pairs 40]
-                                     [--features 5000] [--limit 5] [--seed 0] [--out FILE.md|.csv|.json]
+                                     [--features 5000] [--limit 5] [--seed 0] [--known PX]
+                                     [--out FILE.md|.csv|.json]
 
 A folder holds images named in pairs (port_1.png and port_2.png, as for `featreg compare`). "identity": both lie on one
 grid. "outline": the second image shows the first one's place turned about the centre of its frame, as in the SRIF set,

@@ -5,6 +5,8 @@ A result is "trusted" where its status is "ok". Its grid error is the RMS distan
 grid error is at most t: a refusal and a failure count as not within. "wrong" are trusted models beyond the limit of the
 set. Intervals are 95 % of the studentised bootstrap over places, as pairs of one place are no independent witnesses.
 Time is CPU time on one thread of the whole call, reading left out, and its ratio to `orb` on the same pair; medians.
+
+With --known every method is given the truth, displaced at random, as a model known beforehand.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
+import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +26,7 @@ from numpy.typing import NDArray
 
 import featreg
 from featreg.errors import FeatregError
+from featreg.geometry import Affine
 from featreg.interfaces import FailedFit
 from featreg.matching import check_keywords
 from featreg.runtime.files import write_atomic
@@ -67,6 +71,7 @@ def arguments(text: str | None, limit: float, pairs: int) -> argparse.ArgumentPa
     parser.add_argument("--features", type=int, default=5000)
     parser.add_argument("--limit", type=float, default=limit, help="px beyond which a trusted model is wrong")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--known", type=float, help="px to which every method is told the model beforehand")
     parser.add_argument("--out", type=Path, help="write the table (.md, .csv), or it and every answer (.json)")
     return parser
 
@@ -113,8 +118,19 @@ def grid_error(model: Any, pair: KnownPair, count: int = 15) -> float:
     return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
 
 
+def told(pair: KnownPair, known: float | None, seed: int) -> dict[str, Any]:
+    """Keywords of `match` by which a method knows the truth to `known` px: displaced by no more along any direction."""
+    if known is None:
+        return {}
+    rng = np.random.default_rng([seed, zlib.crc32(pair.name.encode())])
+    angle, length = rng.uniform(0, 2 * np.pi), known * np.sqrt(rng.uniform())
+    away = length * np.array([[0, 0, np.cos(angle)], [0, 0, np.sin(angle)]])
+    return {"initial": Affine(pair.truth + away), "search_radius": known}
+
+
 def ask(method: str, pair: KnownPair, given: argparse.Namespace, **keywords: Any) -> Answer:
     """Match a pair; an error is an answer too."""
+    keywords |= told(pair, given.known, given.seed)
     start = time.process_time()
     try:
         made = featreg.match(
@@ -150,7 +166,8 @@ def run(title: str, pairs: Iterable[KnownPair], given: argparse.Namespace, truth
     what = ", ".join(f"{name}={value}" for name, value in keywords.items())
     protocol = [
         f"{len(names)} pairs of {places} places; truth: {truth}; n_features {given.features}; seed {given.seed}"
-        + (f"; {what}" if what else ""),
+        + (f"; {what}" if what else "")
+        + (f"; known beforehand to {given.known:g} px" if given.known is not None else ""),
         *((__doc__ or "").split("\n\n")[1].replace("\n", " ").strip().splitlines()),
         f"wrong: trusted and beyond {given.limit:g} px",
         *(f"{a.method} failed on {a.pair}: {a.reason}" for a in answers if a.status == "failed"),

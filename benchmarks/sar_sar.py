@@ -1,7 +1,8 @@
 """SAR images against SAR images of other dates: folders of co-registered pairs in, one table out.
 
     python benchmarks/sar_sar.py [--folder DIR ...] [--turn 180] [--zoom 0.1] [--shift 10] [--methods all|a,b]
-                                 [--pairs 30] [--features 5000] [--limit 3] [--seed 0] [--out FILE.md|.csv|.json]
+                                 [--pairs 30] [--features 5000] [--limit 3] [--seed 0] [--known PX]
+                                 [--out FILE.md|.csv|.json]
 
 A folder holds co-registered images named in pairs (port_1.tif and port_2.tif, as for `featreg compare`). The second of
 each is warped by a fresh similarity, a turn of up to --turn degrees either way, a zoom of up to --zoom and a shift of

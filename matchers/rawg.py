@@ -100,7 +100,7 @@ class AngleWeightedTemplates(Matcher):
     apart: Annotated[int, Ge(1)] = 6
     ratio: Share = 0.9
     merge: Count = 262_144
-    chance: Annotated[float, Lt(0)] = -3.0
+    chance: Annotated[float, Lt(0)] = -4.0
 
     @property
     def parts(self) -> tuple[Plugin, ...]:
