@@ -15,7 +15,7 @@ from featreg.interfaces import Descriptor
 from featreg.registry import register
 from featreg.runtime.parameters import Count, Positive
 from featreg.sar.pyramid import REACH, SUPPORT, clear, pyramid
-from featreg.sar.windows import bytes_around
+from featreg.sar.speckle import despeckled_bytes
 from featreg.types import Features, FloatArray, Image
 
 TURNS = 72
@@ -76,8 +76,8 @@ class Brief(Descriptor):
             if not len(rows):
                 continue
             out = np.empty((len(rows), words.shape[1]), np.uint64)
-            view, seen = bytes_around(level, at, math.ceil(self.radius), self.sigma)
-            xs, ys = np.ascontiguousarray(seen.T)
+            xs, ys = np.ascontiguousarray(at.T)
+            view = despeckled_bytes(level, self.sigma)
             binary_kernels.compare_pairs(view.ravel(), view.shape[1], xs, ys, table, turns[rows], out)
             words[rows] = out
             kept[rows] = True

@@ -15,7 +15,7 @@ from featreg.runtime.parameters import Count, Positive
 from featreg.sar.gradients.ratio import quantised_edges, ratio_gradients
 from featreg.sar.keypoints.corners import fast_corners, orientation, refine_centroid, refine_corner
 from featreg.sar.pyramid import REACH, SUPPORT, clear, pyramid, share_out, to_base
-from featreg.sar.windows import bytes_around
+from featreg.sar.speckle import despeckled_bytes
 from featreg.types import Features, Image
 
 ORIENTATION_RADIUS = 15
@@ -83,12 +83,12 @@ class SarOfast(Detector):
             at = xy[:count]
             moved, stable = self._subpixel(level, at)
             scale = self.support * np.sqrt(image.mask.size / level.mask.size)
-            view, seen = self._view(level, at)
+            view = despeckled_bytes(level) if self.centroid == "amplitude" else self._edges(level)
             parts.append(
                 Features(
                     xy=to_base(moved, level, image),
                     scale=scale,
-                    angle=orientation(view, seen, ORIENTATION_RADIUS),
+                    angle=orientation(view, at, ORIENTATION_RADIUS),
                     score=score[:count].astype(np.float64),
                     level=np.full(len(at), number),
                     subpixel=stable,
@@ -96,12 +96,6 @@ class SarOfast(Detector):
             )
         everything = Features.concatenate(parts)
         return everything.take(np.argsort(-everything.score, kind="stable"))
-
-    def _view(self, level: Image, at: NDArray[np.int64]) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
-        """The map of which directions are centroids, and where points (N, 2) of the level are in it."""
-        if self.centroid == "edges":
-            return self._edges(level), at
-        return bytes_around(level, at, ORIENTATION_RADIUS)
 
     def _edges(self, level: Image) -> NDArray[np.uint8]:
         return level.derive(quantised_edges, alpha=self.alpha, floor=self.floor, eq5=self.edge == "eq5", clip=self.clip)

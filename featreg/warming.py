@@ -75,11 +75,9 @@ def _warm_windows(pixels: Any) -> None:
     import numpy as np
 
     from featreg.io import as_image
-    from featreg.sar.keypoints.corners import orientation
-    from featreg.sar.windows import aligned_windows, bytes_around, gaussian
+    from featreg.sar.windows import aligned_windows, gaussian
 
     image, at = as_image(pixels), np.array([[60, 60], [80, 90]])
-    orientation(*bytes_around(image, at, 15), 15)
     aligned_windows(image, np.tile(np.eye(2, 3), (2, 1, 1)), image.shape, at - 16, 32, gaussian(1.0))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,12 +13,15 @@ from featreg.errors import ParameterError
 from featreg.interfaces import Nearest
 from featreg.registry import register
 from featreg.runtime.parameters import Share
+from featreg.runtime.threads import side_by_side
 from featreg.types import Features, FloatArray, IntArray
 
 # Columns of 64-bit words compared at a time.
 BLOCK = 512
 # Rows of squared distances held at a time; they stay in the processor's cache.
 ROWS = 128
+# Pairs from which on the rows are shared out, and into how many parts.
+LARGE, PARTS = 1 << 23, 8
 LARGEST = np.iinfo(np.uint64).max
 
 
@@ -78,8 +82,16 @@ def _hamming(a: NDArray[Any], b: NDArray[Any], ratio: bool) -> Neighbours:
     from featreg.sar.keypoints import binary_kernels
 
     x, y = as_words(a), np.ascontiguousarray(as_words(b).T)
-    rows, columns = np.full(len(a), LARGEST, np.uint64), np.full(len(b), LARGEST, np.uint64)
-    binary_kernels.nearest_hamming(x, y, BLOCK, rows, columns)
+    rows = np.full(len(a), LARGEST, np.uint64)
+
+    def part(start: int, stop: int) -> NDArray[np.uint64]:
+        """The nearest of some rows, and the smallest (distance, row) of each column among them."""
+        columns = np.full(len(b), LARGEST, np.uint64)
+        binary_kernels.nearest_hamming(x[start:stop], y, BLOCK, rows[start:stop], columns)
+        # Rows were counted from the first of the part.
+        return np.where(columns < LARGEST, columns + np.uint64(start), columns)
+
+    columns = np.minimum.reduce(side_by_side([partial(part, *ends) for ends in _parts(len(a), len(b))]))
     low = np.uint64(0xFFFFFFFF)
     forward, backward = (rows & low).astype(np.int64), (columns & low).astype(np.int64)
     distance = (rows >> np.uint64(32)).astype(np.float64)
@@ -87,6 +99,13 @@ def _hamming(a: NDArray[Any], b: NDArray[Any], ratio: bool) -> Neighbours:
     if ratio:
         binary_kernels.second_best(x, y, forward, second)
     return forward, backward, distance, second.astype(np.float64)
+
+
+def _parts(rows: int, columns: int) -> list[tuple[int, int]]:
+    """(first, behind the last) row of parts that threads share out, whole numbers of blocks; one of small sets."""
+    count = PARTS if rows * columns >= LARGE else 1
+    step = -(-rows // (count * ROWS)) * ROWS
+    return [(start, min(start + step, rows)) for start in range(0, rows, step)]
 
 
 def as_words(packed: NDArray[Any]) -> NDArray[np.uint64]:
@@ -112,14 +131,20 @@ def _euclidean(a: NDArray[Any], b: NDArray[Any], ratio: bool) -> Neighbours:
     forward, backward = np.zeros(n, np.int64), np.full(m, -1, np.int64)
     best, column = np.empty(n, np.int32), np.full(m, np.iinfo(np.int32).max, np.int32)
     second = np.full(n, np.inf, np.float32)
-    block = np.empty((ROWS, m), np.float32)
-    for start in range(0, n, ROWS):
-        part = slice(start, min(start + ROWS, n))
-        squared = block[: part.stop - start]
-        np.matmul(left[part], right, out=squared)
-        distance_kernels.nearest(squared.view(np.int32), forward[part], best[part], column)
-        if ratio:
-            distance_kernels.second_nearest(squared, forward[part], second[part])
+
+    def looked_at(first: int, last: int) -> NDArray[np.int32]:
+        """The nearest of some rows, and the smallest distance of each column from them."""
+        block, mine = np.empty((ROWS, m), np.float32), column.copy()
+        for start in range(first, last, ROWS):
+            part = slice(start, min(start + ROWS, last))
+            squared = block[: part.stop - start]
+            np.matmul(left[part], right, out=squared)
+            distance_kernels.nearest(squared.view(np.int32), forward[part], best[part], mine)
+            if ratio:
+                distance_kernels.second_nearest(squared, forward[part], second[part])
+        return mine
+
+    column = np.minimum.reduce(side_by_side([partial(looked_at, *ends) for ends in _parts(n, m)]))
     # Of rows at the same distance from a column that is the nearest of each, the first has it.
     mine = np.flatnonzero(best == column[forward])[::-1]
     backward[forward[mine]] = mine

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import ParameterError
+from featreg.runtime.threads import side_by_side
 from featreg.types import BoolArray, FloatArray, IntArray
 
 F32 = NDArray[np.float32]
 
 #: Windows that together cover less than so many times the image are summed one by one.
 FEW = 1.5
+#: Pixels of windows from which on threads share out the points, and into how many parts.
+LARGE, PARTS = 1 << 20, 8
 
 
 @dataclass(frozen=True)
@@ -75,9 +80,16 @@ def local_correlations(
     few = search <= correlation_kernels.MOST_SEARCH and len(xy) * side**2 < FEW * first.size
     if there is not None or few:
         us, vs = (xs, ys) if there is None else np.ascontiguousarray(there[order].T)
-        correlation_kernels.correlations_of_few(
-            first.ravel(), first.shape[1], second.ravel(), second.shape[1], xs, ys, us, vs, half, search, found
-        )
+        flat_a, width_a, flat_b, width_b = first.ravel(), first.shape[1], second.ravel(), second.shape[1]
+
+        def part(start: int, stop: int) -> None:
+            some = slice(start, stop)
+            correlation_kernels.correlations_of_few(
+                flat_a, width_a, flat_b, width_b, xs[some], ys[some], us[some], vs[some], half, search, found[some]
+            )
+
+        edges = np.linspace(0, len(xy), 1 + (PARTS if len(xy) * side**2 >= LARGE else 1)).astype(int).tolist()
+        side_by_side([partial(part, *ends) for ends in pairwise(edges)])
         return _in_order(found, order)
     # Running sums lose digits on a high level.
     a = first - np.float32(cv2.mean(first)[0])

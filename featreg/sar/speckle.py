@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from functools import partial
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from featreg.runtime.threads import side_by_side
 from featreg.types import Image
 
 F32 = NDArray[np.float32]
@@ -15,6 +19,8 @@ F32 = NDArray[np.float32]
 FLOOR = 1e-2
 # Pixels of a strip, and steps of a byte for one of the natural logarithm.
 STRIP, STEPS = 1 << 16, 28
+# Pixels of an image from which on threads share out its rows, and into how many parts.
+LARGE, PARTS = 1 << 21, 8
 # What the mean of the logarithm lies below the logarithm of the mean, about, of one look.
 BELOW_MEAN = 0.25
 # Side of the windows by which looks are told, variance below which one shows nothing, and the share of the most even.
@@ -46,13 +52,6 @@ def despeckled_bytes(image: Image, sigma: float = 1.0) -> NDArray[np.uint8]:
     A quarter of the memory, so that scattered look-ups stay in the cache; the step is a fifth of what speckle leaves.
     """
     return image.derive(_despeckled_bytes, sigma=float(sigma))
-
-
-def as_bytes(image: Image, logs: F32, out: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
-    """Return smoothed logarithms of an image's amplitude in the steps of `despeckled_bytes`, in `out` if given."""
-    import cv2
-
-    return np.asarray(cv2.convertScaleAbs(logs, out, alpha=STEPS, beta=_byte_offset(image)), np.uint8)
 
 
 def equivalent_looks(image: Image) -> float:
@@ -130,7 +129,15 @@ def _log_amplitude(image: Image) -> F32:
 
 def _despeckled(image: Image, sigma: float) -> F32:
     out = np.empty(image.shape, np.float32)
-    _smooth(image, sigma, slice(None), out, np.empty((0, 0), np.uint8))
+
+    def part(start: int, stop: int) -> None:
+        for first, last, smooth in _smoothed_strips(image, sigma, start, stop):
+            out[first:last] = smooth
+
+    if out.size <= LARGE:
+        _smooth(image, sigma, slice(None), out, np.empty((0, 0), np.uint8))
+    else:
+        side_by_side([partial(part, *ends) for ends in _parts(len(out))])
     return out
 
 
@@ -141,17 +148,36 @@ def _despeckled_halved(image: Image, sigma: float) -> F32:
     out = np.empty((height, width), np.float32)
     if not out.size:
         return out
-    reach = gaussian_reach(sigma)
-    strip = max(2, STRIP // image.shape[1] // 2 * 2)
-    for start in range(0, 2 * height, strip):
-        # Strips stay in the cache: of a large image only the amplitude is read and the result written.
-        stop = min(start + strip, 2 * height)
-        first, last = max(start - reach, 0), min(stop + reach, image.shape[0])
-        smooth = np.empty((last - first, image.shape[1]), np.float32)
-        _smooth(image, sigma, slice(first, last), smooth, np.empty((0, 0), np.uint8))
-        whole = smooth[start - first : stop - first, : 2 * width]
-        cv2.resize(whole, (width, (stop - start) // 2), out[start // 2 : stop // 2], 0, 0, cv2.INTER_AREA)
+
+    def part(start: int, stop: int) -> None:
+        for first, last, smooth in _smoothed_strips(image, sigma, start, stop):
+            size = width, (last - first) // 2
+            cv2.resize(smooth[:, : 2 * width], size, out[first // 2 : last // 2], 0, 0, cv2.INTER_AREA)
+
+    side_by_side([partial(part, *ends) for ends in _parts(2 * height)])
     return out
+
+
+def _parts(rows: int) -> Iterator[tuple[int, int]]:
+    """(first, behind the last) row of parts that threads share out; all but the last have even ends."""
+    edges = np.linspace(0, rows, PARTS + 1).astype(int) // 2 * 2
+    edges[-1] = rows
+    return pairwise(edges.tolist())
+
+
+def _smoothed_strips(image: Image, sigma: float, start: int, stop: int) -> Iterator[tuple[int, int, F32]]:
+    """(first, behind the last) row of strips between two rows, and their smoothed log-amplitude.
+
+    Strips stay in the cache: of a large image only the amplitude is read and the result written.
+    """
+    reach = gaussian_reach(sigma)
+    rows = max(2, STRIP // image.shape[1] // 2 * 2)
+    for first in range(start, stop, rows):
+        last = min(first + rows, stop)
+        above, below = max(first - reach, 0), min(last + reach, image.shape[0])
+        smooth = np.empty((below - above, image.shape[1]), np.float32)
+        _smooth(image, sigma, slice(above, below), smooth, np.empty((0, 0), np.uint8))
+        yield first, last, smooth[first - above : last - above]
 
 
 def _despeckled_bytes(image: Image, sigma: float) -> NDArray[np.uint8]:

@@ -14,16 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.runtime.threads import side_by_side
-from featreg.sar.speckle import as_bytes, despeckled_bytes, filled_amplitude, gaussian_reach, log_floor
+from featreg.sar.speckle import filled_amplitude, gaussian_reach, log_floor
 from featreg.types import FloatArray, Image, IntArray
 
 F32 = NDArray[np.float32]
 
 #: Windows that are worked on at a time, so that they stay in the cache, and parts that threads share out.
 CHUNK, PARTS = 32, 8
-#: Pixels of an image for each one of windows from which on these are less work where a view is filtered and resampled
-#: for one purpose, and where it is only smoothed, and serves several.
-FILTERED, SHARED = 1.0, 4.0
 #: A window needs at most so many times its side of the other image; beyond, the whole image is quicker.
 MOST_STRETCHED = 2.0
 
@@ -31,9 +28,9 @@ MOST_STRETCHED = 2.0
 Taps = tuple[F32, F32]
 
 
-def few(count: int, side: int, shape: tuple[int, int], times: float = FILTERED) -> bool:
-    """Whether so many windows of `side` px have so many `times` fewer pixels than an image of (H, W)."""
-    return times * count * side**2 < shape[0] * shape[1]
+def few(count: int, side: int, shape: tuple[int, int]) -> bool:
+    """Whether so many windows of `side` px have fewer pixels than an image of (H, W)."""
+    return count * side**2 < shape[0] * shape[1]
 
 
 def gaussian(sigma: float) -> Taps:
@@ -122,29 +119,6 @@ def aligned_windows(
 def compact(affine: FloatArray) -> bool:
     """Whether affine maps (N, 2, 3) are finite, and none takes a square to so much that windows are no good."""
     return bool(np.isfinite(affine).all()) and float(np.abs(affine[:, :, :2]).sum(axis=2).max()) <= MOST_STRETCHED
-
-
-def bytes_around(image: Image, at: IntArray, half: int, sigma: float = 1.0) -> tuple[NDArray[np.uint8], IntArray]:
-    """Return `featreg.sar.speckle.despeckled_bytes` as far as squares around points reach, and the points in it.
-
-    Parameters
-    ----------
-    image : the image
-    at, half : (N, 2) whole pixels (x, y) of the image, and half the squares around them, px; beyond the rim of the
-        image they are mirrored
-    sigma : of the Gaussian, px
-
-    Returns
-    -------
-    (H, W) uint8 and (N, 2) int64; the map is that of the whole image where this is less work
-    """
-    side = 2 * half + 1
-    smooth = gaussian(sigma)
-    if not len(at):
-        return np.zeros((0, side), np.uint8), at
-    if not few(len(at), side + 2 * _reach(smooth), image.shape, SHARED):
-        return despeckled_bytes(image, sigma), at
-    return as_bytes(image, as_map(log_windows(image, at - half, side, smooth))), places(len(at), side, half)
 
 
 def _box_side(affine: FloatArray, side: int) -> int:

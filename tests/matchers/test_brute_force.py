@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from featreg import registry
 from featreg.errors import ParameterError
+from featreg.runtime.threads import limited_threads
 from featreg.types import Features
 
 
@@ -146,3 +147,19 @@ def test_descriptors_that_do_not_compare_are_refused(a: Features, b: Features) -
 def test_an_impossible_ratio_is_refused(ratio: float) -> None:
     with pytest.raises(ParameterError, match="ratio"):
         registry.create("nearest", "brute-force", ratio=ratio)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+def test_the_same_pairs_whatever_the_parts_and_threads(dtype: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With ties between rows of different parts."""
+    rng = np.random.default_rng(0)
+    a, b = rng.integers(0, 4, (700, 8)).astype(dtype), rng.integers(0, 4, (500, 8)).astype(dtype)
+    matcher = registry.create("nearest", "brute-force", mutual=True, ratio=0.95)
+    whole, score = matcher.match_features(features(a), features(b))
+    assert len(whole) > 20
+    monkeypatch.setattr("featreg.matchers.brute_force.LARGE", 1)
+    for threads in (1, 2, 3):
+        with limited_threads(threads):
+            pairs, other = matcher.match_features(features(a), features(b))
+        np.testing.assert_array_equal(pairs, whole)
+        np.testing.assert_array_equal(other, score)

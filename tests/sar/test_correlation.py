@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from featreg.errors import ParameterError
+from featreg.runtime.threads import limited_threads
 from featreg.sar.correlation import local_correlations, peaks, quadratic_steps
 
 Texture = Callable[..., NDArray[np.float32]]
@@ -165,3 +166,14 @@ def test_peaks_equal_the_plain_ones(side: int) -> None:
     np.testing.assert_allclose(found.curvature, curvature, rtol=0, atol=1e-14)
     wanted = np.column_stack([col, row]) - side // 2 + np.where(sound[:, None], step, 0)
     np.testing.assert_allclose(found.shift, wanted, rtol=0, atol=1e-10)
+
+
+def test_few_windows_give_the_same_bits_on_any_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(0)
+    first, second = rng.normal(size=(2, 120, 130)).astype(np.float32)
+    xy = rng.integers(20, 100, (37, 2))
+    whole = local_correlations(first, second, xy, 9, 2, xy + 1)
+    monkeypatch.setattr("featreg.sar.correlation.LARGE", 1)
+    for threads in (1, 2, 3):
+        with limited_threads(threads):
+            np.testing.assert_array_equal(local_correlations(first, second, xy, 9, 2, xy + 1), whole)

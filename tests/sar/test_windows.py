@@ -11,12 +11,11 @@ from featreg.io import as_image
 from featreg.pipeline.aligned import local_affines, resampled
 from featreg.runtime.threads import limited_threads
 from featreg.sar.correlation_filter import correlation_filter, filter_of_squares, square_corners
-from featreg.sar.speckle import despeckled, despeckled_bytes, despeckled_halved, log_amplitude
+from featreg.sar.speckle import despeckled, despeckled_halved, log_amplitude
 from featreg.sar.windows import (
     MOST_STRETCHED,
     aligned_windows,
     as_map,
-    bytes_around,
     compact,
     few,
     gaussian,
@@ -106,20 +105,6 @@ def test_the_same_bits_on_any_number_of_threads(image: Image) -> None:
             np.testing.assert_array_equal(aligned_windows(image, maps, image.shape, at, SIDE), one)
 
 
-def test_bytes_around_points_are_those_of_the_whole_map(image: Image) -> None:
-    at = corners(3) + 10
-    view, seen = bytes_around(image, at, 6)
-    assert view.shape == (3 * 13, 13)
-    wide = np.pad(despeckled_bytes(image), 6, mode="reflect")
-    for (x, y), (u, v) in zip(at, seen, strict=True):
-        off = view[v - 6 : v + 7, u - 6 : u + 7].astype(int) - wide[y : y + 13, x : x + 13]
-        assert np.abs(off).max() <= 1
-        assert np.count_nonzero(off) <= 1
-    many, same = bytes_around(image, corners(100), 6)
-    assert many is despeckled_bytes(image)
-    np.testing.assert_array_equal(same, corners(100))
-
-
 def test_a_map_of_windows_holds_each_at_its_place(image: Image) -> None:
     found = log_windows(image, corners(), SIDE)
     x, y = places(len(found), SIDE, 4).T
@@ -129,7 +114,6 @@ def test_a_map_of_windows_holds_each_at_its_place(image: Image) -> None:
 def test_no_points_no_windows(image: Image) -> None:
     nothing = np.zeros((0, 2), np.int64)
     assert log_windows(image, nothing, SIDE).shape == (0, SIDE, SIDE)
-    assert bytes_around(image, nothing, 6)[0].size == 0
     assert aligned_windows(image, np.zeros((0, 2, 3)), image.shape, nothing, SIDE).shape == (0, SIDE, SIDE)
 
 
