@@ -20,10 +20,7 @@ from figures.page import Figure, write_page
 from measuring import machine, on_one_thread
 
 #: What stands at the head of the page.
-WRITTEN_FOR = (
-    "The numbers in the captions are those of this run; what they say beside the paper's was written for seed 0, 90 "
-    "couples and real images."
-)
+WHOSE = "The numbers in the captions, and the orders that stand beside the paper's, are those of this run."
 
 
 def main() -> None:
@@ -48,7 +45,7 @@ def main() -> None:
             raise SystemExit(f"unknown part '{unknown[0]}', known: {', '.join(makers)}")
         parts = [(paper, said, make()) for name, (paper, said, make) in makers.items() if name in wanted]
     run = f"Seed {given.seed}, {min(given.couples, 90)} couples; {machine()}."
-    write_page(given.out, parts, f"{run} {WRITTEN_FOR}")
+    write_page(given.out, parts, f"{run} {WHOSE}")
     if given.png is not None:
         given.png.mkdir(parents=True, exist_ok=True)
         for name, (_, _, drawn) in zip((n for n in makers if n in wanted), parts, strict=True):

@@ -127,6 +127,12 @@ def test_the_page_holds_its_pictures_and_needs_nothing_from_elsewhere(tmp_path: 
     assert not re.search(r'(src|href)="http', text)
 
 
+def test_orders_in_captions_are_those_of_the_run() -> None:
+    from figures.page import ranked
+
+    assert ranked({"a": 2.0, "b": 10.5, "c": 3.14159}, " px") == "b 10.5 px, c 3.14 px, a 2 px"
+
+
 @pytest.mark.parametrize(("what", "same"), [("two 1-degree apertures of Gotcha", True), ("a simulated lot", False)])
 def test_a_simulated_couple_is_not_called_that_of_the_paper(what: str, same: bool) -> None:
     from figures.targets import couple

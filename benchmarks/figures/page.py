@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import html
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -75,6 +75,12 @@ def show(place: Any, image: NDArray[Any], title: str = "", decibels: float = 40.
     level = 20 * np.log10(np.maximum(amplitude, 1e-30) / top)
     place.imshow(level, cmap="gray", vmin=-decibels, vmax=0, interpolation="none")
     place.set(xticks=[], yticks=[], title=title)
+
+
+def ranked(values: Mapping[str, float], unit: str = "") -> str:
+    """Names and their values from the largest to the smallest, in words."""
+    order = sorted(values, key=lambda name: -values[name])
+    return ", ".join(f"{name} {values[name]:.3g}{unit}" for name in order)
 
 
 def write_page(path: Path, parts: Sequence[tuple[str, str, Sequence[Figure]]], head: str) -> None:

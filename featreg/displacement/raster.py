@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 TILE = 256
 #: Endings of HDF5 files.
 HDF5 = (".h5", ".he5", ".hdf5")
+TIFF = (".tif", ".tiff")
 
 
 def bands_of(field: Offsets) -> dict[str, tuple[FloatArray, str]]:
@@ -61,8 +62,13 @@ def days_of(
     Raises
     ------
     ParameterError
-        The dates are no days, not known, or given for a GeoTIFF.
+        The name ends otherwise; the dates are no days, not known, or given for a GeoTIFF.
     """
+    if path.suffix.lower() not in (*TIFF, *HDF5):
+        raise ParameterError(
+            f"'{path}': displacements are written as a GeoTIFF (.tif) or for MintPy (.h5), give a name with one of "
+            "these endings"
+        )
     if path.suffix.lower() in HDF5:
         from featreg.displacement.mintpy import dates_of
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from featreg.errors import FeatregError, InputError
 from featreg.io.gdal_errors import quiet, reason
-from featreg.runtime.files import temporary_path
+from featreg.runtime.files import check_ending, temporary_path
 from featreg.types import Geolocation
 
 #: Bytes that a folder is asked to take when a file could not be written.
@@ -140,6 +140,7 @@ def write_geotiff(
         The array is not 2-D and numeric, or the file cannot be written.
     """
     path = Path(path)
+    check_ending(path, ".tif", ".tiff")
     if array.ndim != 2 or not array.size or array.dtype.kind not in "buifc":
         raise InputError(
             f"{path}: cannot write {array.dtype} {array.shape}, a non-empty (H, W) numeric array is needed"

@@ -35,6 +35,7 @@ from featreg.products.samples import Encoding, encoding_of
 from featreg.products.stac import SampleKind, acquired, check_item, write_item
 from featreg.products.tops_phase import TopsPhase
 from featreg.results.registration import Registration
+from featreg.runtime.files import check_ending
 from featreg.runtime.watching import Canceller, Progress
 from featreg.types import BoolArray
 
@@ -156,6 +157,7 @@ def warp_file(
     targets = [Path(target) for target in (output, coherence) if target is not None]
     when = None if stac is None else acquired(stac)
     for target in targets:
+        check_ending(target, ".tif", ".tiff")
         refuse_input(target, inputs)
         if when is not None:
             check_item(target, grid.geolocation, grid.shape, grid.path or "the reference", [*inputs, given])

@@ -34,7 +34,7 @@ from featreg.geometry import model_from_dict, model_to_dict
 from featreg.interfaces import FailedFit, Model
 from featreg.results.input_image import InputImage
 from featreg.runtime.digests import digest_bytes
-from featreg.runtime.files import folder_of, is_stream, write_atomic
+from featreg.runtime.files import check_ending, folder_of, is_stream, write_atomic
 from featreg.types import BoolArray, Gate, IntArray, Matches
 
 if TYPE_CHECKING:
@@ -94,6 +94,7 @@ def write_registration(registration: Registration, path: str | Path) -> None:
     InputError
         The file cannot be written, or a filter is called "putative" or "inliers".
     """
+    check_ending(path, ".json")
     path = Path(path)
     # A pipe has no place beside it.
     if len(registration.matches) > MAX_ROWS and not is_stream(path):

@@ -18,6 +18,25 @@ from typing import BinaryIO
 
 from featreg.errors import InputError
 
+#: How the names of files end whose kind nobody doubts.
+TOLD = (
+    ".json", ".geojson", ".csv", ".md", ".tex", ".parquet", ".tif", ".tiff", ".vrt", ".nc", ".zarr", ".h5", ".npy",
+    ".mat", ".png", ".jpg", ".pdf", ".svg", ".html", ".yaml", ".yml", ".toml",
+)  # fmt: skip
+
+
+def check_ending(path: str | Path, *endings: str) -> None:
+    """Raise where a name says another kind of file than what is written; names that say nothing are the caller's.
+
+    Raises
+    ------
+    InputError
+        The name ends as that of another kind of file than `endings` do.
+    """
+    ending = Path(path).suffix.lower()
+    if ending in TOLD and ending not in endings:
+        raise InputError(f"'{path}' would be no {ending} file; give a name that ends in {' or '.join(endings)}")
+
 
 def write_atomic(path: str | Path, content: bytes | memoryview, *, sync: bool = True) -> None:
     """Write a file; no reader ever meets half of it.

@@ -16,7 +16,7 @@ from featreg.geometry import model_from_dict, model_to_dict
 from featreg.interfaces import Model
 from featreg.registry import model_name
 from featreg.results.json_file import plain
-from featreg.runtime.files import write_atomic
+from featreg.runtime.files import check_ending, write_atomic
 from featreg.stacks.closure import Loop
 from featreg.stacks.jumps import Jump
 from featreg.stacks.pairs import StackPair
@@ -29,6 +29,7 @@ SCHEMA_VERSION = 1
 
 def write_stack(stack: Stack, path: Path) -> None:
     """Write a stack; the file appears whole or not at all."""
+    check_ending(path, ".json")
     options = _written(stack.provenance.get("options", {}))["options"]
     content = {
         "schema_version": SCHEMA_VERSION,

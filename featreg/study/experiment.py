@@ -12,7 +12,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
-from featreg.errors import FeatregError, ParameterError
+from featreg.errors import FeatregError, InputError, ParameterError
 from featreg.runtime.watching import Canceller, Progress
 from featreg.study.engine import Run, run_jobs
 from featreg.study.experiment_results import Study
@@ -135,6 +135,15 @@ class Experiment:
             except FeatregError as error:
                 raise type(error)(f"method '{label}': {error}" if label not in str(error) else str(error)) from error
         self.resolved()
+        self._check_dems()
+
+    def _check_dems(self) -> None:
+        """Raise where an elevation model that all pairs share is no file; a pair's own is looked at with the pair."""
+        for label, method in self.labelled().items():
+            dem = method.keywords.get("dem")
+            if isinstance(dem, str | Path) and not Path(dem).is_file():
+                place = "protocol" if dem == self.protocol.dem else f"method '{label}'"
+                raise InputError(f"{place}: no elevation model '{dem}'")
 
     def labelled(self) -> dict[str, Method]:
         """Label -> method, with every keyword it is run with."""
@@ -209,6 +218,7 @@ class Experiment:
     def run_as(self, how: Run, resume: str | Path | None = None) -> Study:
         """Run without the checks before; a method that does not exist is then a failed row."""
         pairs, methods = self.resolved(), self.labelled()
+        self._check_dems()
         jobs = [Job(i, label, seed) for i in range(len(pairs)) for label in methods for seed in self.seeds]
         how = dataclasses.replace(how, keypoints=any(metric_of(name).needs_keypoints for name in self.metrics))
         store = PredictionCache(None if resume is None else Path(resume))

@@ -15,7 +15,7 @@ import numpy as np
 
 from featreg.errors import InputError, ParameterError, suggest
 from featreg.results.json_file import plain
-from featreg.runtime.files import write_atomic
+from featreg.runtime.files import check_ending, write_atomic
 from featreg.runtime.optional import import_pandas
 from featreg.runtime.showing import Shown, figure_of
 from featreg.study.intervals import FEWEST, Interval, interval
@@ -168,7 +168,7 @@ class Table(Shown):
         lines += [_line(_text(row, name) for name in columns) for part in parts for row in part]
         if layout is None:
             lines += self._interval_lines()
-        return _emit("\n".join([*lines, "", *(f"- {line}" for line in self.protocol)]) + "\n", path)
+        return _emit("\n".join([*lines, "", *(f"- {line}" for line in self.protocol)]) + "\n", path, ".md")
 
     def to_text(self, *, layout: str | None = None, width: int = 100) -> str:
         """Return the table as aligned plain text of at most `width` characters a line, names that are longer apart."""
@@ -198,7 +198,7 @@ class Table(Shown):
         writer = csv.writer(out, lineterminator="\n")
         writer.writerow(names if layout is None else columns.values())
         writer.writerows([row.get(name) for name in names] for row in (self.rows if layout is None else parts[0]))
-        return _emit(out.getvalue(), path)
+        return _emit(out.getvalue(), path, ".csv")
 
     def to_latex(
         self,
@@ -223,7 +223,9 @@ class Table(Shown):
         their reasons stand below with the protocol.
         """
         columns, parts = self._shown(layout)
-        return _emit(latex(self, columns, parts, self._judged() if layout is None else [], caption, label), path)
+        return _emit(
+            latex(self, columns, parts, self._judged() if layout is None else [], caption, label), path, ".tex"
+        )
 
     def to_json(self, path: str | Path | None = None) -> str:
         """Return (and write) one JSON object: rows, summary, intervals, differences, protocol, failed."""
@@ -236,7 +238,7 @@ class Table(Shown):
             "protocol": self.protocol,
             "failed": self.failed,
         }
-        return _emit(json.dumps(plain(whole), indent=2, ensure_ascii=False) + "\n", path)
+        return _emit(json.dumps(plain(whole), indent=2, ensure_ascii=False) + "\n", path, ".json")
 
     def to_dataframe(self) -> Any:
         """Return the rows as a `pandas.DataFrame`."""
@@ -250,6 +252,7 @@ class Table(Shown):
         InputError
             The file cannot be written, or a column mixes kinds of values.
         """
+        check_ending(path, ".parquet")
         import pyarrow as pa
         import pyarrow.parquet as pq
 
@@ -377,7 +380,8 @@ def _text(row: Mapping[str, Any], name: str) -> str:
     return f"{value:g}" if count else f"{value:.3f}"
 
 
-def _emit(text: str, path: str | Path | None) -> str:
+def _emit(text: str, path: str | Path | None, ending: str) -> str:
     if path is not None:
+        check_ending(path, ending)
         write_atomic(Path(path), text.encode())
     return text

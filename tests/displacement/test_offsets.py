@@ -234,6 +234,9 @@ def test_the_raster_says_what_its_bands_are_and_where_it_lies(glacier: Displaced
 def test_dates_are_refused_where_they_would_be_lost(flow: Offsets, tmp_path: Path) -> None:
     with pytest.raises(ParameterError, match="MintPy"):
         flow.to_file(tmp_path / "flow.tif", dates=["20210401", "20210413"])
+    for name in ("flow.png", "flow.nc", "flow"):
+        with pytest.raises(ParameterError, match=r"as a GeoTIFF \(.tif\) or for MintPy \(.h5\)"):
+            flow.to_file(tmp_path / name)
     assert not list(tmp_path.iterdir())
 
 

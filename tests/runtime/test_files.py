@@ -17,7 +17,7 @@ from featreg.cli.options import check_output
 from featreg.errors import InputError
 from featreg.io.writers import replacing, write_geotiff
 from featreg.results.json_file import write_registration
-from featreg.runtime.files import folder_of, is_stream, write_atomic
+from featreg.runtime.files import check_ending, folder_of, is_stream, write_atomic
 
 CONTENT = b"new" * 100_000
 
@@ -186,3 +186,25 @@ def test_a_large_result_into_a_pipe_holds_its_tie_points(tmp_path: Path, monkeyp
     reader.join(20)
     assert len(json.loads(read[0])["tie_points"]["rows"]) == len(result.matches) > 30
     assert [p.name for p in tmp_path.iterdir()] == ["pipe"]
+
+
+@pytest.mark.parametrize(
+    ("name", "endings", "refused"),
+    [
+        ("a.json", (".json",), False),
+        ("a.TIF", (".tif", ".tiff"), False),
+        ("a.result", (".json",), False),
+        ("a", (".json",), False),
+        ("a.tif", (".json",), True),
+        ("a.CSV", (".json",), True),
+        ("a.nc", (".tif", ".tiff"), True),
+    ],
+)
+def test_a_name_that_says_another_kind_of_file_is_refused(name: str, endings: tuple[str, ...], refused: bool) -> None:
+    if not refused:
+        check_ending(name, *endings)
+        return
+    with pytest.raises(
+        InputError, match=rf"'{name}' would be no {Path(name).suffix.lower()} file; give a name that ends"
+    ):
+        check_ending(name, *endings)

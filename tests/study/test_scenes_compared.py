@@ -5,8 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+import featreg
 from featreg import Experiment
 from featreg.cli.main import main
 from featreg.errors import InputError, ParameterError
@@ -104,6 +106,12 @@ def test_heights_that_cannot_be_are_named(scene: ScenePair) -> None:
         Protocol(block=0)
     with pytest.raises(ParameterError, match="height must be a number of metres, got nan"):
         Protocol(height=float("nan"))
+    # What all pairs share is looked at once, before anything is computed.
+    images = [(np.eye(64), np.eye(64))]
+    asked = Experiment(images, ["orb"], protocol=Protocol(dem="none.tif"))
+    for refused in (asked.check, asked.run, lambda: featreg.compare(images, ["orb"], dem="none.tif")):
+        with pytest.raises(InputError, match=r"no elevation model 'none\.tif'"):
+            refused()
     with pytest.raises(ParameterError, match="heights come from 'dem' or from 'height', not from both"):
         Protocol(dem="dem.tif", height=3.0)
     with pytest.raises(ParameterError, match="split must be 'prior' or 'proportional'"):
