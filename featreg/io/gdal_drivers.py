@@ -49,7 +49,6 @@ DRIVERS = (
     Driver("TSX", "TerraSAR-X", (), (".xml",), "the product's folder"),
     Driver("RS2", "RADARSAT-2", (), (".xml",), "the product's folder"),
     Driver("SAR_CEOS", "CEOS SAR", (), (), ""),
-    Driver("ESAT", "Envisat", ((0, b'PRODUCT="'),), (".n1", ".e1", ".e2")),
     Driver("GIF", "GIF", ((0, b"GIF87a"), (0, b"GIF89a")), (".gif",), whole=True),
     Driver("WEBP", "WebP", ((8, b"WEBPVP8"),), (".webp",), whole=True),
     Driver("PNM", "PNM", ((0, b"P5\n"), (0, b"P6\n"), (0, b"P5 "), (0, b"P6 ")), (".pgm", ".ppm", ".pnm")),

@@ -23,6 +23,7 @@ from featreg.io.sidd import SiddReader
 from featreg.io.source_names import SourceName, check_file, check_utf8, parse_source
 from featreg.io.vrt import check_vrt, is_vrt
 
+ENVISAT = b'PRODUCT="'
 ZIP = (b"PK\x03\x04", b"PK\x05\x06")
 
 #: Endings of what lies beside images and describes them.
@@ -105,6 +106,12 @@ def _open_file(name: SourceName, head: bytes) -> Reader:
     if is_vrt(head):
         check_vrt(path)
         return GdalReader(str(path.absolute()), ["VRT"], str(path))
+    if head.startswith(ENVISAT):
+        # GDAL's driver of it ends the process on some damaged headers.
+        raise InputError(
+            f"{path}: is a product in Envisat's format, which is not read here; convert it: gdal_translate {path} "
+            f"{path.with_suffix('.tif').name}"
+        )
     driver = driver_by_content(head)
     if driver is not None and driver.name == "NITF":
         standard, version = standard_of(path)

@@ -104,6 +104,8 @@ class PalsarReader:
         zone = int((np.degrees(np.angle(np.exp(1j * np.radians(lon)).mean())) + 180.0) // 6.0) % 60 + 1
         crs = f"EPSG:{(32600 if lat.mean() >= 0 else 32700) + zone}"
         x, y = transform("EPSG:4326", crs, lon.tolist(), lat.tolist())
+        if not np.isfinite([x, y]).all():
+            return None
         columns, rows = (0, width - 1, width - 1, 0), (0, 0, height - 1, height - 1)
         return Geolocation(crs=crs, gcps=np.column_stack([columns, rows, x, y, np.zeros(4)]))
 

@@ -63,7 +63,7 @@ def capella_calibration(text: str, name: str) -> Calibration | None:
         value = float(factor)
         if not 0 < value < float("inf"):
             raise ValueError(f"a scale_factor of {value}")
-    except (TypeError, ValueError, AttributeError, LookupError) as error:
+    except (TypeError, ValueError, AttributeError, LookupError, RecursionError) as error:
         raise InputError(
             f"{name}: the metadata of Capella state no calibration ({type(error).__name__}: {error})"
         ) from error
