@@ -33,6 +33,7 @@ DEFAULT = (
     "featreg.sar.sample_kernels",
     "featreg.sar.window_kernels",
     "featreg.sar.speckle_kernels",
+    "featreg.sar.mask_kernels",
 )
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from featreg.interfaces import Model
 from featreg.sar.bridging import on_sample
 from featreg.sar.correlation import Peaks
-from featreg.sar.pyramid import clear
+from featreg.sar.pyramid import clear, whole_squares
 from featreg.types import BoolArray, FloatArray, Image, IntArray
 
 F32 = NDArray[np.float32]
@@ -180,9 +180,7 @@ class WholeWindows:
         valid = clear(self.secondary, MARGIN).astype(np.uint8)
         # Outside the secondary nothing is valid, beyond the reference's grid nothing is known.
         there = warped(valid, self.model, self.reference.shape, cv2.INTER_NEAREST, cv2.BORDER_CONSTANT)
-        square = np.ones((2 * self.reach + 1, 2 * self.reach + 1), np.uint8)
-        whole = cv2.erode(there, square, borderType=cv2.BORDER_CONSTANT, borderValue=1)
-        return np.asarray(whole).view(np.bool_)
+        return whole_squares(there.view(np.bool_), self.reach, outside=True)
 
     def __call__(self, xy: IntArray) -> BoolArray:
         """(N,) of (N, 2) whole pixels inside the reference: both."""

@@ -104,12 +104,17 @@ def _reduced_to(image: Image, height: int, width: int) -> Image:
 
 
 def _clear(image: Image, reach: int) -> BoolArray:
-    import cv2
-
     if image.all_valid:
         inside = np.zeros(image.shape, np.bool_)
         inside[reach : image.shape[0] - reach, reach : image.shape[1] - reach] = True
         return inside
-    square = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
-    eroded = cv2.erode(image.mask.view(np.uint8), square, borderType=cv2.BORDER_CONSTANT, borderValue=0)
-    return np.asarray(eroded).view(np.bool_)
+    return whole_squares(image.mask, reach)
+
+
+def whole_squares(mask: BoolArray, reach: int, *, outside: bool = False) -> BoolArray:
+    """Return where all of the square of `reach` pixels around is True in a mask (H, W), `outside` beyond its border."""
+    from featreg.sar import mask_kernels
+
+    whole = np.empty(mask.shape, np.uint8)
+    mask_kernels.whole_squares(np.ascontiguousarray(mask).view(np.uint8), reach, int(outside), whole)
+    return whole.view(np.bool_)

@@ -16,10 +16,13 @@ MAX_BYTES = 1 << 30
 
 
 @lru_cache(maxsize=256)
-def _defaults(function: Callable[..., Any]) -> dict[str, Any]:
-    """The parameters that a function has defaults for: spelt out or not, they name the same map."""
+def _named(function: Callable[..., Any]) -> tuple[tuple[str, str], dict[str, Any]]:
+    """The full name of a function, and what it has defaults for: spelt out or not, they name the same map."""
+    if "<" in function.__qualname__:
+        raise TypeError(f"derive needs a module-level function, got {function.__qualname__}")
     parameters = inspect.signature(function).parameters.values()
-    return {p.name: p.default for p in parameters if p.default is not p.empty}
+    name = function.__module__, function.__qualname__
+    return name, {p.name: p.default for p in parameters if p.default is not p.empty}
 
 
 class DerivedMaps:
@@ -37,11 +40,8 @@ class DerivedMaps:
         self._bytes = 0
 
     def get(self, image: Any, function: Callable[..., Any], params: Mapping[str, Any]) -> Any:
-        if "<" in function.__qualname__:
-            raise TypeError(f"derive needs a module-level function, got {function.__qualname__}")
-        known = _defaults(function)
-        named = tuple(sorted({**known, **params}.items())) if known or params else ()
-        key = (function.__module__, function.__qualname__, named)
+        name, known = _named(function)
+        key = (name, tuple(sorted({**known, **params}.items())) if known or params else ())
         with self._lock:
             if key in self._maps:
                 self._maps.move_to_end(key)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from featreg.runtime.buffers import scratch
 from featreg.sar.gradients.ratio import ratio_gradients, roewa
-from featreg.sar.pyramid import pyramid
+from featreg.sar.pyramid import pyramid, whole_squares
 from featreg.sar.speckle import filled_amplitude
 from featreg.types import BoolArray, FloatArray, Image
 
@@ -53,10 +53,7 @@ def from_base(xy: FloatArray, level: Image, base: Image) -> FloatArray:
 
 def clear_of_nodata(image: Image, distance: float) -> BoolArray:
     """Return the (H, W) bool map of pixels with no invalid one in a square of `distance` pixels; borders are free."""
-    import cv2
-
-    side = 2 * math.ceil(distance) + 1
-    return np.asarray(cv2.erode(image.mask.view(np.uint8), np.ones((side, side), np.uint8))).view(np.bool_)
+    return whole_squares(image.mask, math.ceil(distance), outside=True)
 
 
 def filled_gradients(level: Image, alpha: float, floor: float) -> tuple[F32, F32]:

@@ -51,6 +51,16 @@ def _ones(x: np.uint64) -> np.uint64:
     return (x * np.uint64(0x0101010101010101)) >> np.uint64(56)
 
 
+@inlined
+def lowest_byte(word: np.uint64) -> np.uint64:
+    """Which byte, the first in memory being 0, holds the lowest set bit of eight bytes that are not all 0."""
+    below = (word & (~word + np.uint64(1))) - np.uint64(1)
+    below = below - ((below >> np.uint64(1)) & np.uint64(0x5555555555555555))
+    below = (below & np.uint64(0x3333333333333333)) + ((below >> np.uint64(2)) & np.uint64(0x3333333333333333))
+    below = (below + (below >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
+    return (below * np.uint64(0x0101010101010101)) >> np.uint64(59)
+
+
 @compiled
 def _add_distances(a: U64, words: U64, start: int, distances: U64) -> None:
     for j in range(distances.shape[0]):

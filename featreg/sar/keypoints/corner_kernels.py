@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.runtime.jit import compiled
+from featreg.sar.keypoints.binary_kernels import lowest_byte
 
 U8 = NDArray[np.uint8]
 F32 = NDArray[np.float32]
@@ -122,13 +123,14 @@ def collect_maxima(score: U8, allowed: U8, least: int, at: I64, values: U8) -> i
     for y in range(1, height - 1):
         _peaks_of_row(score[y - 1], score[y], score[y + 1], allowed[y], np.uint8(least), peaks[:width])
         for k in range(eights.shape[0]):
-            if eights[k] == 0:
-                continue
-            for x in range(8 * k, 8 * k + 8):
-                if peaks[x] != 0 and count < at.shape[0]:
-                    at[count] = y * width + x
-                    values[count] = peaks[x]
-                    count += 1
+            left = eights[k]
+            while left != 0 and count < at.shape[0]:
+                byte = lowest_byte(left)
+                left &= ~(np.uint64(0xFF) << (np.uint64(8) * byte))
+                x = 8 * k + np.int64(byte)
+                at[count] = y * width + x
+                values[count] = peaks[x]
+                count += 1
     return count
 
 
@@ -136,11 +138,27 @@ def collect_maxima(score: U8, allowed: U8, least: int, at: I64, values: U8) -> i
 def intensity_centroid(image: F32 | U8, xs: I64, ys: I64, radius: int, stride: int, angle: F64) -> None:
     """Angle from each point to the intensity centroid of the disc around it, counter-clockwise as seen (y up)."""
     height, width = image.shape
+    most = (2 * (radius // stride) + 1) ** 2
+    across, down = np.empty(most, np.int64), np.empty(most, np.int64)
+    count = 0
+    for dy in range(-(radius // stride) * stride, radius + 1, stride):
+        for dx in range(-(radius // stride) * stride, radius + 1, stride):
+            if dx * dx + dy * dy <= radius * radius:
+                across[count], down[count] = dx, dy
+                count += 1
     for i in range(xs.shape[0]):
         x0 = xs[i]
         y0 = ys[i]
         mx = 0.0
         my = 0.0
+        if x0 >= radius and y0 >= radius and x0 < width - radius and y0 < height - radius:
+            # No place has to be brought back into the image.
+            for n in range(count):
+                v = float(image[np.uint64(y0 + down[n]), np.uint64(x0 + across[n])])
+                mx += across[n] * v
+                my += down[n] * v
+            angle[i] = np.arctan2(-my, mx)
+            continue
         for dy in range(-(radius // stride) * stride, radius + 1, stride):
             y = min(max(y0 + dy, 0), height - 1)
             row = image[y]

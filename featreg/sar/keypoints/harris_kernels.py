@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.runtime.jit import compiled
+from featreg.sar.keypoints.binary_kernels import lowest_byte
 from featreg.sar.smoothing_kernels import smoothed_across, smoothed_along
 
 F32 = NDArray[np.float32]
@@ -87,10 +88,11 @@ def collect_peaks(response: F32, allowed: U8, threshold: np.float32, at: I64) ->
     for y in range(1, height - 1):
         _peaks_of_row(response[y - 1], response[y], response[y + 1], threshold, peak[:width])
         for k in range(eights.shape[0]):
-            if eights[k] == 0:
-                continue
-            for x in range(8 * k, min(8 * k + 8, width)):
-                if peak[x] != 0 and allowed[y, x] != 0:
-                    at[count] = y * width + x
-                    count += 1
+            left = eights[k]
+            while left != 0:
+                byte = lowest_byte(left)
+                left &= left - np.uint64(1)
+                x = 8 * k + np.int64(byte)
+                at[count] = y * width + x
+                count += 1 if allowed[y, x] != 0 else 0
     return count

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from featreg.sar.gradients.log_gabor import LogGabor
 from featreg.sar.gradients.phase_congruency import STEPS, Congruency, bytes_of, congruency_maps
+from featreg.sar.pyramid import whole_squares
 from featreg.types import BoolArray, FloatArray, Image, IntArray
 
 F32 = NDArray[np.float32]
@@ -169,8 +170,7 @@ def _cell_list(image: Image, bank: LogGabor, congruency: Congruency, cells: Cell
     largest, _, index, valid = congruency_maps(image, bank, congruency)
     seen = valid.view(np.uint8)
     if not valid.all():
-        square = np.ones((2 * MARGIN + 1, 2 * MARGIN + 1), np.uint8)
-        seen = np.asarray(cv2.erode(seen, square, borderType=cv2.BORDER_CONSTANT, borderValue=1), np.uint8)
+        seen = whole_squares(valid, MARGIN, outside=True).view(np.uint8)
     weight = np.maximum(bytes_of(largest, valid, 0.95), 1) * seen if cells.weighted else seen
     votes = cells.votes(bank.orientations)
     average = cells.compressed(_average(index, weight, votes)) if cells.centred else np.zeros(len(votes), np.float32)
