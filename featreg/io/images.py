@@ -221,7 +221,7 @@ def _image(
         pixels[~valid] = 0
     return Image(
         read_only(pixels), read_only(valid), raster.geolocation, name, raster.dtype, scale,
-        band=raster.band, calibration=calibration,
+        band=raster.band, calibration=calibration, nodata=nodata,
     )  # fmt: skip
 
 

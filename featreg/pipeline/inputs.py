@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from featreg.interfaces import Model
-from featreg.io.raster_source import ImageSource, RasterSource, Source
+from featreg.io.raster_source import ImageSource, RasterSource, SampleSource, Source
 from featreg.results.input_image import InputImage
 from featreg.sar.absurd import fill_hint
 from featreg.types import FloatArray, Image
@@ -21,18 +22,21 @@ def input_image(image: Image | Source) -> InputImage:
     if isinstance(image, ImageSource):
         image = image.image
     place, size = image.geolocation, None
+    told: dict[str, Any]
     if place is not None:
         from featreg.geolocation.pixel_size import pixel_size
 
         size = pixel_size(place)
     if isinstance(image, Image):
         count = int(np.count_nonzero(image.mask))
-        return InputImage(
-            image.name, image.shape, image.scale, image.source_dtype, count, size, place, image.band, image.calibration
-        )
-    band = None if image.band is None else str(image.band)
-    calibration = image.calibrate if isinstance(image, RasterSource) else None
-    return InputImage(image.path, image.shape, image.known_scale, image.dtype, None, size, place, band, calibration)
+        told = {"band": image.band, "calibration": image.calibration, "nodata": image.nodata}
+        return InputImage(image.name, image.shape, image.scale, image.source_dtype, count, size, place, **told)
+    told = {
+        "band": None if image.band is None else str(image.band),
+        "calibration": image.calibrate if isinstance(image, RasterSource) else None,
+        "nodata": image.nodata if isinstance(image, SampleSource) else None,
+    }
+    return InputImage(image.path, image.shape, image.known_scale, image.dtype, None, size, place, **told)
 
 
 def pixel_ratio(reference: InputImage, secondary: InputImage, initial: Model | None = None) -> tuple[float, float]:

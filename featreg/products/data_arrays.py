@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from featreg.io.bands import BandLike
 from featreg.io.data_arrays import DataArrayReader, is_data_array
 from featreg.io.images import as_image
 from featreg.io.raster_source import Source, Window, open_source
@@ -88,7 +87,7 @@ def warped_data_array(
     geolocation: Geolocation | None,
     *,
     like: Any,
-    band: BandLike,
+    reading: Mapping[str, Any],
     resampling: str,
     attributes: Mapping[str, Any],
 ) -> Any:
@@ -100,16 +99,17 @@ def warped_data_array(
     array : the DataArray
     shape, geolocation : (H, W) of the new grid, and where it lies
     like : a DataArray on that grid, or anything else
-    band, resampling : as of `featreg.warp`
+    reading : keywords of `featreg.as_image`
+    resampling : as of `featreg.warp`
     attributes : of the result
     """
     name = None if array.name is None else str(array.name)
     if array.chunks is None:
-        image = as_image(array, band=band)
+        image = as_image(array, **reading)
         warped = resample(image, model, shape, resampling=resampling)
         values = blanked(warped.pixels, warped.mask)
     else:
-        values = _lazy(model, open_source(array, band=band), shape, resampling)
+        values = _lazy(model, open_source(array, **reading), shape, resampling)
     return to_data_array(values, geolocation, like=like, name=name, attributes=attributes)
 
 

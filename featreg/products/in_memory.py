@@ -43,7 +43,8 @@ def warp(
 
     Returns
     -------
-    (H, W) float32 linear amplitude, whatever scale the file has, calibrated as that which was matched, or complex64;
+    (H, W) float32 linear amplitude, whatever scale the file has, or complex64, read as that which was matched was
+    (scale, calibration, stated value for no data; masks aside, which say where to match);
     NaN (complex: nan+nanj) where the secondary has no data. A numpy array; of a DataArray of xarray a DataArray with
     the coordinates, the coordinate system and the geotransform of the reference, lazy where the secondary is of dask
 
@@ -57,7 +58,11 @@ def warp(
     """
     model = model_of(registration)
     shape, known = _reference_shape(registration, like), registration.secondary
-    band = known.band if band is None and known is not None else band
+    # Arrays have no names: one of the size of that which was matched is taken for it.
+    path = str(secondary) if isinstance(secondary, str | Path) else "array"
+    alike = known is not None and (known.path == path or is_same(known.path, path))
+    reading: dict[str, Any] = dict(known.reading) if known is not None and alike else {}
+    reading["band"] = known.band if band is None and known is not None else band
     if is_data_array(secondary):
         if deramp:
             raise ParameterError("deramp is for files and arrays; of a DataArray give its values")
@@ -66,15 +71,14 @@ def warp(
         facts = {"status": registration.status, "reason": registration.reason}
         facts["method"] = str(registration.provenance.get("method", ""))
         return warped_data_array(
-            model, secondary, shape, place, like=like, band=band, resampling=resampling,
+            model, secondary, shape, place, like=like, reading=reading, resampling=resampling,
             attributes={f"featreg_{name}": text for name, text in facts.items()},
         )  # fmt: skip
-    of_file: dict[str, Any] = {}
-    if isinstance(secondary, str | Path):
-        of_file["band"] = band
-        if known is not None and is_same(known.path, secondary):
-            of_file["calibrate"] = known.calibration
-    image = as_image(secondary, **of_file)
+    if isinstance(secondary, Image):
+        reading = {}
+    elif not isinstance(secondary, str | Path):
+        reading["band"] = None
+    image = as_image(secondary, **reading)
     _check_size(image.shape, registration)
     ramp = None
     if deramp:

@@ -34,6 +34,7 @@ from featreg.products.resample import TAPS, Support, support_box
 from featreg.products.samples import Encoding, encoding_of
 from featreg.products.stac import SampleKind, acquired, check_item, write_item
 from featreg.products.tops_phase import TopsPhase
+from featreg.results.input_image import InputImage
 from featreg.results.registration import Registration
 from featreg.runtime.files import check_ending
 from featreg.runtime.watching import Canceller, Progress
@@ -84,7 +85,7 @@ def warp_file(
     resampling: str = "lanczos",
     band: BandLike = None,
     scale: str | None = None,
-    nodata: float | None = None,
+    nodata: complex | None = None,
     calibrate: str | None = None,
     secondary_scale: float | tuple[float, float] | None = None,
     deramp: bool = False,
@@ -107,7 +108,8 @@ def warp_file(
     band : the one band to warp: its number from 1, its name, "iq" or "rgb"; None for that of the result where the
         secondary is the file that was matched, else for all
     scale : what real samples are: "amplitude", "intensity" or "db"; default: as in the result, else told from them
-    nodata : value of samples without data; default: the file's own
+    nodata : value of samples without data; default: as it was stated where the secondary is the file that was matched,
+        else the file's own
     calibrate : "sigma0", "beta0" or "gamma0": the product holds this quantity, of complex samples those whose squared
         modulus it is; default: as in the result where the secondary is the file that was matched
     secondary_scale : pixels of this file per pixel of the secondary that was matched (one number, or along x and along
@@ -161,11 +163,13 @@ def warp_file(
         refuse_input(target, inputs)
         if when is not None:
             check_item(target, grid.geolocation, grid.shape, grid.path or "the reference", [*inputs, given])
-    scale = _recorded_scale(registration, secondary) if scale is None else scale
-    band = _recorded_band(registration, secondary) if band is None else band
-    calibrate = _recorded_calibration(registration, secondary) if calibrate is None else calibrate
-    if calibrate is not None and scale == "amplitude":
-        scale = None
+    told = _recorded(registration.secondary, secondary)
+    calibrate = told.get("calibrate") if calibrate is None else calibrate
+    # What is calibrated is an amplitude, whatever the samples were.
+    scale = told.get("scale") if scale is None and calibrate is None else scale
+    nodata = told.get("nodata") if nodata is None else nodata
+    if band is None and str(told.get("band") or "").startswith("iq"):
+        band = told["band"]
     check_calibration(calibrate, scale)
     sources = _sources(secondary, band, scale, nodata, calibrate)
     wanted = (secondary_scale,) * 2 if isinstance(secondary_scale, int | float) else secondary_scale
@@ -280,7 +284,7 @@ class _Job:
 
 
 def _sources(
-    secondary: str, band: BandLike, scale: str | None, nodata: float | None, calibrate: str | None
+    secondary: str, band: BandLike, scale: str | None, nodata: complex | None, calibrate: str | None
 ) -> list[RasterSource]:
     """The bands to warp: the one that is asked for or meant, else all of one size and kind."""
     reader = open_reader(secondary)
@@ -298,32 +302,16 @@ def _sources(
     return [RasterSource(secondary, scale, nodata, i + 1, None, calibrate).checked() for i in data]
 
 
-def _recorded_scale(registration: Registration, secondary: str) -> str | None:
-    known = registration.secondary
-    if known is None or known.scale == "complex":
-        return None
-    return known.scale if is_same(known.path, secondary) else None
-
-
-def _recorded_calibration(registration: Registration, secondary: str) -> str | None:
-    known = registration.secondary
-    return None if known is None or not is_same(known.path, secondary) else known.calibration
-
-
-def _recorded_band(registration: Registration, secondary: str) -> str | None:
-    """What the result says was read of the file, where that is more than one of its bands."""
-    known = registration.secondary
-    if known is None or known.band is None or not is_same(known.path, secondary):
-        return None
-    return known.band if known.band.startswith("iq") else None
+def _recorded(known: InputImage | None, path: str) -> dict[str, Any]:
+    """How an image of a result was read, where a path names its file; nothing of any other file."""
+    return dict(known.reading) if known is not None and is_same(known.path, path) else {}
 
 
 def _partner(grid: Grid, registration: Registration) -> RasterSource:
     if grid.path is None:
         raise InputError("the coherence needs the reference image; give its file as like")
-    known = registration.reference
-    same = known is not None and is_same(known.path, grid.path)
-    source = RasterSource(grid.path, band=known.band if known is not None and same else None)
+    told = _recorded(registration.reference, grid.path)
+    source = RasterSource(grid.path, nodata=told.get("nodata"), band=told.get("band"))
     if not source.is_complex:
         raise InputError(f"{grid.path}: the reference holds {source.dtype} samples, coherence needs complex ones")
     return source

@@ -73,7 +73,7 @@ def _image(role: str, given: Any, known: InputImage | None) -> Callable[[], Imag
         return given
     if known is None or known.path in ("array", "tie points"):
         return partial(_missing, role)
-    if known.calibration is None and known.scale in (None, "complex", "amplitude"):
+    if all(value in (None, "amplitude") for value in known.reading.values()):
         return known.path
     return partial(as_image, known.path, **known.reading)
 

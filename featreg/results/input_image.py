@@ -27,6 +27,7 @@ class InputImage:
     geolocation : where it lies, as its file says it
     band : what was read of a file of several bands; None where it has one only
     calibration : "sigma0", "beta0" or "gamma0" where its samples were calibrated to it when they were read, else None
+    nodata : the value of samples without data that was stated for it; None where the file's own counted
 
     Raises
     ------
@@ -43,6 +44,7 @@ class InputImage:
     geolocation: Geolocation | None = None
     band: str | None = None
     calibration: str | None = None
+    nodata: complex | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.path, str):
@@ -51,11 +53,18 @@ class InputImage:
         if height < 1 or width < 1:
             raise InputError(f"the shape of an image must be (H, W) of at least 1 x 1, got {tuple(self.shape)}")
         object.__setattr__(self, "shape", (height, width))
+        # What is not finite is no data anyway.
+        plain = None if self.nodata is None or not np.isfinite(self.nodata) else complex(self.nodata)
+        object.__setattr__(self, "nodata", plain if plain is None or plain.imag else plain.real)
 
     @property
     def reading(self) -> dict[str, Any]:
-        """The keywords of `featreg.as_image` with which its file is read again as it was, its band aside."""
-        return {"scale": None if self.scale == "complex" else self.scale, "calibrate": self.calibration}
+        """The keywords of `featreg.as_image` with which its samples are read again as they were.
+
+        A mask is none of them: it says where to match, and not what there is.
+        """
+        scale = None if self.scale == "complex" or self.calibration is not None else self.scale
+        return {"scale": scale, "band": self.band, "nodata": self.nodata, "calibrate": self.calibration}
 
     def to_dict(self) -> dict[str, Any]:
         """Return what a file holds of it: path, width, height, and the rest where known."""
@@ -68,6 +77,7 @@ class InputImage:
             "geolocation": None if place is None else _known(vars(place)),
             "band": self.band,
             "calibration": self.calibration,
+            "nodata": [self.nodata.real, self.nodata.imag] if isinstance(self.nodata, complex) else self.nodata,
         }
         return {"path": self.path, "width": self.shape[1], "height": self.shape[0], **_known(more)}
 
@@ -88,6 +98,7 @@ class InputImage:
             None if place is None else _geolocation(**place),
             None if values.get("band") is None else str(values["band"]),
             values.get("calibration"),
+            complex(*nodata) if isinstance(nodata := values.get("nodata"), list | tuple) else nodata,
         )
 
 

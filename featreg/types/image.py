@@ -54,6 +54,7 @@ class Image(ReadOnlyArrays, Shown):
     filled : (H, W) bool, of an image prepared for features the valid pixels that hold no sample of their own but what
         the samples around them say; None = none
     calibration : "sigma0", "beta0" or "gamma0" where the squares of the amplitude are that quantity; None = not known
+    nodata : the value of samples without data that was stated when they were read; None = none was
 
     Raises
     ------
@@ -75,6 +76,7 @@ class Image(ReadOnlyArrays, Shown):
     filled: BoolArray | None = None
     band: str | None = None
     calibration: str | None = None
+    nodata: complex | None = None
     _derived: DerivedMaps = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:

@@ -1,0 +1,105 @@
+"""A product reads its image as the match did: scale, band and stated value for no data stand in the result."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import featreg
+from featreg.io.raster_source import open_source
+from featreg.pipeline.inputs import input_image
+from featreg.results.input_image import InputImage
+
+rasterio = pytest.importorskip("rasterio")
+pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+
+H, W = 40, 50
+#: Intensities with a frame of -7 that no tag of the file speaks of.
+INTENSITY = np.random.default_rng(0).gamma(2, 30, (H, W)).astype(np.float32) + 1
+INTENSITY[:6] = -7
+INSIDE = (np.arange(H) >= 6)[:, None] & np.ones((H, W), np.bool_)
+READING: dict[str, Any] = {"scale": "intensity", "nodata": -7}
+
+
+def write(path: Path, array: NDArray[Any]) -> Path:
+    bands = array if array.ndim == 3 else array[None]
+    size = {"height": bands.shape[1], "width": bands.shape[2], "count": len(bands)}
+    with rasterio.open(path, "w", driver="GTiff", dtype=bands.dtype, **size) as dataset:
+        dataset.write(bands)
+    return path
+
+
+def result(secondary: InputImage) -> featreg.Registration:
+    """A registration by the identity between two images of one size."""
+    xy = np.random.default_rng(1).uniform(0, 40, (60, 2))
+    made = featreg.fit(featreg.Matches(xy, xy, np.ones(60)), model="translation")
+    return replace(made, reference=InputImage("array", (H, W)), secondary=secondary)
+
+
+@pytest.mark.parametrize("windows", [False, True])
+def test_a_result_keeps_how_its_images_were_read(windows: bool, tmp_path: Path) -> None:
+    path = write(tmp_path / "a.tif", np.stack([INTENSITY * 2, INTENSITY]))
+    reading = READING | {"band": 2}
+    opened: Any = open_source(path, **reading) if windows else featreg.as_image(path, **reading)
+    known = input_image(opened)
+    assert known.reading == reading | {"band": "2", "calibrate": None}
+    again = InputImage.from_dict(json.loads(json.dumps(known.to_dict())))
+    assert again is not None
+    assert again.reading == known.reading
+    np.testing.assert_array_equal(featreg.as_image(path, **again.reading).mask, INSIDE)
+
+
+def test_values_for_no_data_are_kept_as_json_holds_them() -> None:
+    for given, wanted in ((0, 0.0), (np.float32(2), 2.0), (1 - 2j, 1 - 2j), (np.nan, None), (np.inf, None)):
+        image = InputImage("a", (20, 20), "complex", nodata=given)
+        assert image.nodata == wanted
+        again = InputImage.from_dict(json.loads(json.dumps(image.to_dict(), allow_nan=False)))
+        assert again is not None
+        assert again.nodata == wanted
+
+
+def test_products_of_files_follow(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.tif", INTENSITY)
+    made = result(InputImage(str(path), (H, W), **READING))
+    warped = featreg.warp(made, path, resampling="nearest")
+    np.testing.assert_array_equal(np.isfinite(warped), INSIDE)
+    np.testing.assert_allclose(warped[INSIDE], np.sqrt(INTENSITY[INSIDE]), rtol=1e-6)
+    made.to_json(tmp_path / "r.json")
+    more: dict[str, Any]
+    for name, more, data in (("o.tif", {}, INSIDE), ("p.tif", {"nodata": float(INTENSITY[9, 9])}, None)):
+        featreg.warp_file(tmp_path / "r.json", path, tmp_path / name, like=(H, W), resampling="nearest", **more)
+        with rasterio.open(tmp_path / name) as dataset:
+            shown = dataset.read_masks(1) > 0
+        # What is stated now counts before what was.
+        np.testing.assert_array_equal(shown, INTENSITY[9, 9] != INTENSITY if data is None else data)
+
+
+def test_products_of_arrays_follow() -> None:
+    made = result(InputImage("array", (H, W), **READING))
+    warped = featreg.warp(made, INTENSITY, resampling="nearest")
+    np.testing.assert_array_equal(np.isfinite(warped), INSIDE)
+    xr = pytest.importorskip("xarray")
+    again = featreg.warp(made, xr.DataArray(INTENSITY, dims=("y", "x")), resampling="nearest")
+    np.testing.assert_array_equal(again.values, warped)
+    # An image is what it is.
+    image = featreg.as_image(np.abs(INTENSITY))
+    np.testing.assert_array_equal(featreg.warp(made, image, resampling="nearest"), image.pixels)
+
+
+def test_reports_and_pictures_read_the_same(tmp_path: Path) -> None:
+    from featreg.pictures.interactive import _images
+    from featreg.report.from_registration import _image
+
+    path = write(tmp_path / "a.tif", np.stack([INTENSITY * 2, INTENSITY]))
+    known = InputImage(str(path), (H, W), band="2", **READING)
+    shown = _image("secondary", None, known)()
+    np.testing.assert_allclose(shown.pixels[INSIDE], np.sqrt(INTENSITY[INSIDE]), rtol=1e-6)
+    both = _images(replace(result(known), reference=known), None, None)
+    assert both is not None
+    np.testing.assert_array_equal(both[1].mask, INSIDE)
