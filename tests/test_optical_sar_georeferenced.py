@@ -53,8 +53,11 @@ def pair(data: Path, tile: str, folder: Path) -> tuple[Path, Path, Any, Any]:
     return *paths, here, there
 
 
+@pytest.mark.parametrize("model", ["affine", "similarity"])
 @pytest.mark.parametrize("tile", ["047", "060"])
-def test_the_pair_is_registered(tile: str, realdata: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_pair_is_registered(
+    tile: str, model: str, realdata: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     from rasterio.warp import transform
 
     sar, optical, here, there = pair(realdata, tile, tmp_path)
@@ -66,7 +69,7 @@ def test_the_pair_is_registered(tile: str, realdata: Path, tmp_path: Path, capsy
         "--method",
         "optical-sar",
         "--model",
-        "affine",
+        model,
         "--secondary-band",
         "VV",
         "--json",
@@ -77,11 +80,15 @@ def test_the_pair_is_registered(tile: str, realdata: Path, tmp_path: Path, capsy
     assert json.loads(out.read_text())["reference"]["band"] == "rgb"
     assert json.loads(out.read_text())["secondary"]["band"] == "VV"
     assert result.provenance["frame"]["source"] == "geolocation"
+    # The one projection stretches the other's squares by 0.2 %: no similarity in pixels.
+    assert result.provenance["frame"].get("model") == (None if model == "affine" else "similarity")
+    assert json.loads(out.read_text())["model"]["type"] == "affine"
     points = np.array([(x, y) for x in np.linspace(60, 720, 8) for y in np.linspace(60, 720, 8)])
     ground = [there * (x + 0.5, y + 0.5) for x, y in points]
     east, north = transform(OPTICAL_CRS, SAR_CRS, [e for e, _ in ground], [n for _, n in ground])
     truth = np.array([~here * (e, n) for e, n in zip(east, north, strict=True)]) - 0.5
     away = np.hypot(*(result.model(points) - truth).T)
     # In pixels of 10 m. The method does not refine: its tie points are 2 to 3 px off, and the tiles themselves about 1.
-    assert np.median(away) < 4.0
-    assert away.max() < 8.0
+    # A shear is not for the tie points to say.
+    assert np.median(away) < (4.0 if model == "affine" else 3.0)
+    assert away.max() < (8.0 if model == "affine" else 6.0)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import InputError
-from featreg.geometry import decompose
+from featreg.geometry import Affine, Rigid, Similarity, Translation, decompose
 from featreg.interfaces import FailedFit, Model
 from featreg.types import FloatArray, Image, Matches, read_only
 
@@ -28,6 +28,10 @@ MOST_TIMES = 2.0
 NODES = 17
 #: A model class that cannot follow the frame's map to so many px cannot be given in the secondary's own pixels.
 HELD_PX = 1e-3
+#: What geography states beside a shift is taken out for a model class that misses it by more, px.
+MISSED_PX = 0.5
+#: Classes that cannot hold every linear map: seen through a frame, they are affine.
+NARROW = (Translation, Rigid, Similarity)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,20 +104,33 @@ class Frame:
         )
 
     def model_back(self, model: Model, shape: tuple[int, int]) -> Model | FailedFit:
-        """The model reference -> secondary of one reference -> frame; `shape` is that of the reference."""
+        """The model reference -> secondary of one reference -> frame; `shape` is that of the reference.
+
+        Of the same class, or affine where that class does not hold what the frame takes out.
+        """
         nodes = _nodes(shape)
-        return type(model).from_estimate(nodes, self.to_secondary(model(nodes)))
+        there = self.to_secondary(model(nodes))
+        if isinstance(model, NARROW) and not _misses(type(model), nodes, there) <= HELD_PX:
+            return Affine.from_estimate(nodes, there)
+        return type(model).from_estimate(nodes, there)
 
     def held_by(self, kind: type[Model], shape: tuple[int, int]) -> bool:
-        """Whether a class of models holds what the frame takes out."""
+        """Whether a model of a class, fitted in the frame, can be given in the secondary's own pixels."""
         nodes = _nodes(shape)
-        there = self.to_secondary(nodes)
-        model = kind.from_estimate(nodes, there)
-        return not isinstance(model, FailedFit) and bool(model.residuals(nodes, there).max() <= HELD_PX)
+        return issubclass(kind, NARROW) or _misses(kind, nodes, self.to_secondary(nodes)) <= HELD_PX
 
 
-def stated_frame(reference: Image, secondary: Image) -> Frame | None:
-    """The frame of two images by their own geography; None where they state none, or nothing that must be taken out."""
+def _misses(kind: type[Model], xy: FloatArray, there: FloatArray) -> float:
+    """How far the best model of a class is from points (N, 2) that others (N, 2) go to, px; inf where none is made."""
+    model = kind.from_estimate(xy, there)
+    return math.inf if isinstance(model, FailedFit) else float(model.residuals(xy, there).max())
+
+
+def stated_frame(reference: Image, secondary: Image, kind: type[Model] = Affine) -> Frame | None:
+    """The frame of two images by their own geography; None where they state none, or nothing that must be taken out.
+
+    That is what features cannot be compared through, and what a class `kind` of models does not hold.
+    """
     if reference.geolocation is None or secondary.geolocation is None:
         return None
     from featreg.geolocation import ConstantHeight, Transfer, ground_level, sensor_of
@@ -131,6 +148,10 @@ def stated_frame(reference: Image, secondary: Image) -> Frame | None:
         return None
     centre = nodes[inside].mean(axis=0)
     linear = linear_at(transfer, centre)
+    if linear is None and issubclass(kind, NARROW):
+        linear = _linear(transfer, centre)
+        turned = nodes if linear is None else nodes @ linear.T
+        linear = None if linear is None or _misses(kind, nodes, turned) <= MISSED_PX else linear
     if linear is None:
         return None
     frame = frame_of(linear, secondary.shape)
@@ -143,14 +164,20 @@ def stated_frame(reference: Image, secondary: Image) -> Frame | None:
 
 def linear_at(model: Callable[[FloatArray], FloatArray], xy: FloatArray) -> FloatArray | None:
     """(2, 2) linear part of a map at a point (2,) over 8 px, where it must be taken out; else None."""
-    steps = np.array([[4.0, 0.0], [-4.0, 0.0], [0.0, 4.0], [0.0, -4.0]])
-    right, left, below, above = model(xy + steps)
-    linear = np.column_stack([right - left, below - above]) / 8
-    if not np.isfinite(linear).all() or abs(np.linalg.det(linear)) < 1e-6:
+    linear = _linear(model, xy)
+    if linear is None:
         return None
     part = decompose(linear)
     plain = np.linalg.det(linear) > 0 and abs(part.rotation_deg) <= TURN_DEG
     return None if plain and part.anisotropy <= STRETCH and 1 / ZOOM <= part.scale <= ZOOM else linear
+
+
+def _linear(model: Callable[[FloatArray], FloatArray], xy: FloatArray) -> FloatArray | None:
+    """(2, 2) linear part of a map at a point (2,) over 8 px; None where it has none."""
+    steps = np.array([[4.0, 0.0], [-4.0, 0.0], [0.0, 4.0], [0.0, -4.0]])
+    right, left, below, above = model(xy + steps)
+    linear = np.column_stack([right - left, below - above]) / 8
+    return None if not np.isfinite(linear).all() or abs(np.linalg.det(linear)) < 1e-6 else linear
 
 
 def frame_of(linear: FloatArray, shape: tuple[int, int]) -> Frame:

@@ -121,7 +121,7 @@ class Pipeline:
             return None
         if secondary.is_complex and not isinstance(self.matcher, FeatureMatcher):
             return None  # it may rest on phases
-        frame = stated_frame(reference, secondary)
+        frame = stated_frame(reference, secondary, self.model)
         return frame if frame is not None and frame.held_by(self.model, reference.shape) else None
 
     def _run(
@@ -319,17 +319,21 @@ class Pipeline:
 
 
 def _in_own_pixels(result: Registration, frame: Frame, secondary: Image) -> Registration:
-    """A result of the reference and the frame as one of the reference and the secondary, with the gates as judged."""
+    """A result of the reference and the frame as one of the reference and the secondary, with the gates as judged.
+
+    A model that no longer is of the class that was fitted says of which it is in the frame.
+    """
     model = result.model
     if not isinstance(model, FailedFit) and result.reference is not None:
         model = frame.model_back(model, result.reference.shape)
+    fitted = {} if type(model) is type(result.model) else {"model": type(result.model).__name__.lower()}
     return replace(
         result,
         matches=frame.back(result.matches),
         model=model,
         provenance={
             **result.provenance,
-            "frame": {"source": "geolocation", "linear": frame.linear.tolist()},
+            "frame": {"source": "geolocation", "linear": frame.linear.tolist(), **fitted},
         },
         secondary=input_image(secondary),
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -40,7 +41,9 @@ def model_facts(registration: Registration) -> list[tuple[str, str]]:
     model, image = registration.model, registration.reference
     if isinstance(model, FailedFit):
         return [("model", f"none: {shortened(model.reason)}")]
-    facts = [("model", type(model).__name__)]
+    frame = registration.provenance.get("frame")
+    fitted = frame.get("model") if isinstance(frame, Mapping) else None
+    facts = [("model", type(model).__name__ + (f" (a {fitted} but for what both images state)" if fitted else ""))]
     inside = registration.matches.reference_xy[registration.inliers]
     if image is not None:
         centre = (np.array(image.shape[::-1], np.float64) - 1) / 2

@@ -12,10 +12,11 @@ import pytest
 from numpy.typing import NDArray
 
 import featreg
-from featreg.geometry import Affine
+from featreg.geometry import Affine, Rigid, Similarity, decompose
 from featreg.io import as_image
 from featreg.pipeline.frame import Frame, frame_of, stated_frame
 from featreg.results.registration import Registration
+from featreg.results.summary import model_facts
 from featreg.types import FloatArray, Geolocation, Image, Matches
 
 UTM, SIDE = "EPSG:32633", 360
@@ -146,11 +147,38 @@ def test_a_geography_that_lies_does_not_cost_the_answer(scene: Scene) -> None:
     assert off(result, lambda p: p - SHIFT) < 0.3
 
 
-def test_a_model_that_cannot_hold_it_is_fitted_as_ever(scene: Scene) -> None:
-    secondary, _ = cut(scene, "south-up")
-    result = featreg.match(reference_of(scene), secondary, model="rigid")
-    assert result.status == "unreliable"
-    assert "frame" not in result.provenance
+@pytest.mark.parametrize(("kind", "model"), [("south-up", "rigid"), ("2", "similarity")])
+def test_a_narrow_model_is_fitted_in_the_frame_and_affine_in_pixels(scene: Scene, kind: str, model: str) -> None:
+    secondary, truth = cut(scene, kind)
+    result = featreg.match(reference_of(scene), secondary, model=model)
+    assert (result.status, result.reason) == ("ok", "")
+    assert isinstance(result.model, Affine)
+    assert off(result, truth) < 0.3
+    assert result.provenance["frame"]["model"] == model
+    assert f"a {model} but for what both images state" in dict(model_facts(result))["model"]
+    # Without the frame's share it is of the class that was asked for.
+    left = np.linalg.inv(np.array(result.provenance["frame"]["linear"])) @ result.model.coefficients[:, :2]
+    assert decompose(left).anisotropy == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_slight_stretch_is_taken_out_for_a_model_that_does_not_hold_it(scene: Scene) -> None:
+    """Two map projections differ so: too little to be seen by features, too much for a similarity."""
+    tall = cv2.resize(scene, (scene.shape[1], round(scene.shape[0] * 1.05)), interpolation=cv2.INTER_CUBIC)
+    ratio = tall.shape[0] / scene.shape[0]
+    secondary = placed(looked(tall, 4), (10.0, 0.0, EAST, 0.0, -10.0 / ratio, NORTH))
+    reference = reference_of(scene)
+    assert stated_frame(reference, secondary, Affine) is None
+    result = featreg.match(reference, secondary, model="similarity")
+    assert (result.status, result.reason) == ("ok", "")
+    assert off(result, lambda p: (p + 0.5) * (1, ratio) - 0.5) < 0.3
+    assert isinstance(result.model, Affine)
+    plain = featreg.match(reference, secondary, model="similarity", prior="none")
+    assert plain.status == "unreliable"
+    # A zoom is one, and needs no frame.
+    wide = cv2.resize(scene, tall.shape[:1] * 2, interpolation=cv2.INTER_CUBIC)
+    zoomed = placed(looked(wide, 4), (10.0 / ratio, 0.0, EAST, 0.0, -10.0 / ratio, NORTH))
+    assert stated_frame(reference, zoomed, Similarity) is None
+    assert stated_frame(reference, zoomed, Rigid) is not None
 
 
 def test_points_go_to_a_frame_and_back() -> None:
