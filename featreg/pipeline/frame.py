@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,9 @@ from featreg.errors import InputError
 from featreg.geometry import Affine, Rigid, Similarity, Translation, decompose
 from featreg.interfaces import FailedFit, Model
 from featreg.types import FloatArray, Image, Matches, read_only
+
+if TYPE_CHECKING:
+    from featreg.geolocation import Transfer
 
 #: Every method holds a turn by so many degrees, a ratio of the two scales and a zoom by so much as they are: up to
 #: these the secondary's own samples are compared.
@@ -28,7 +32,7 @@ MOST_TIMES = 2.0
 NODES = 17
 #: A model class that cannot follow the frame's map to so many px cannot be given in the secondary's own pixels.
 HELD_PX = 1e-3
-#: What geography states beside a shift is taken out for a model class that misses it by more, px.
+#: What two map grids state beside a shift is taken out for a model class that misses it by more, px.
 MISSED_PX = 0.5
 #: Classes that cannot hold every linear map: seen through a frame, they are affine.
 NARROW = (Translation, Rigid, Similarity)
@@ -148,10 +152,8 @@ def stated_frame(reference: Image, secondary: Image, kind: type[Model] = Affine)
         return None
     centre = nodes[inside].mean(axis=0)
     linear = linear_at(transfer, centre)
-    if linear is None and issubclass(kind, NARROW):
-        linear = _linear(transfer, centre)
-        turned = nodes if linear is None else nodes @ linear.T
-        linear = None if linear is None or _misses(kind, nodes, turned) <= MISSED_PX else linear
+    if linear is None:
+        linear = beyond(kind, transfer, centre, reference.shape)
     if linear is None:
         return None
     frame = frame_of(linear, secondary.shape)
@@ -160,6 +162,25 @@ def stated_frame(reference: Image, secondary: Image, kind: type[Model] = Affine)
         around = frame.from_secondary(transfer(centre[None]))[0] - centre
         frame = _cropped(frame, around, reference.shape)
     return frame
+
+
+def beyond(kind: type[Model], transfer: Transfer, xy: FloatArray, shape: tuple[int, int]) -> FloatArray | None:
+    """(2, 2) linear part at a point (2,) of what two map grids state, where a class of models does not hold it.
+
+    Parameters
+    ----------
+    kind : the class
+    transfer : between two images; those that are no map grids do not state their shape exactly
+    xy : the point
+    shape : (H, W) of the reference
+    """
+    from featreg.geolocation.geotransform import GeotransformSensor
+
+    sensors = transfer.reference, transfer.secondary
+    if not issubclass(kind, NARROW) or not all(isinstance(sensor, GeotransformSensor) for sensor in sensors):
+        return None
+    linear, nodes = _linear(transfer, xy), _nodes(shape)
+    return None if linear is None or _misses(kind, nodes, nodes @ linear.T) <= MISSED_PX else linear
 
 
 def linear_at(model: Callable[[FloatArray], FloatArray], xy: FloatArray) -> FloatArray | None:

@@ -41,9 +41,7 @@ def model_facts(registration: Registration) -> list[tuple[str, str]]:
     model, image = registration.model, registration.reference
     if isinstance(model, FailedFit):
         return [("model", f"none: {shortened(model.reason)}")]
-    frame = registration.provenance.get("frame")
-    fitted = frame.get("model") if isinstance(frame, Mapping) else None
-    facts = [("model", type(model).__name__ + (f" (a {fitted} but for what both images state)" if fitted else ""))]
+    facts = [("model", type(model).__name__ + _narrower(registration))]
     inside = registration.matches.reference_xy[registration.inliers]
     if image is not None:
         centre = (np.array(image.shape[::-1], np.float64) - 1) / 2
@@ -62,6 +60,15 @@ def model_facts(registration: Registration) -> list[tuple[str, str]]:
         rms = float(np.sqrt(np.mean(registration.residuals()[registration.inliers] ** 2)))
         facts.append(("RMS residual", f"{rms:.3f} px"))
     return facts
+
+
+def _narrower(registration: Registration) -> str:
+    """How an affine model comes of a narrower one that was asked for."""
+    said = {name: registration.provenance.get(name) for name in ("frame", "prior")}
+    asked = {name: one["model"] for name, one in said.items() if isinstance(one, Mapping) and one.get("model")}
+    if "frame" in asked:
+        return f" (a {asked['frame']} but for what both images state)"
+    return f" (no {asked['prior']} holds what both images state)" if "prior" in asked else ""
 
 
 def facts_of(registration: Registration) -> list[tuple[str, str]]:

@@ -15,10 +15,11 @@ import numpy as np
 
 from featreg.errors import CancelledError, InputError, NoOverlapError, ParameterError
 from featreg.geolocation import ConstantHeight, DemHeights, Heights, RpcBias, Transfer, ground_level, sensor_of
+from featreg.geometry import Affine
 from featreg.interfaces import Matcher, Model
 from featreg.io.raster_source import Source
 from featreg.io.window import Window
-from featreg.pipeline.frame import linear_at
+from featreg.pipeline.frame import beyond, linear_at
 from featreg.pipeline.inputs import input_image
 from featreg.pipeline.pipeline import Pipeline
 from featreg.pipeline.steps import located, refined
@@ -359,6 +360,12 @@ def _finished(
 ) -> Registration:
     """Global filters, model, refined model and trust over the tie points of all blocks."""
     counts, table, seconds = record
+    # The blocks lie where both images see the ground.
+    middle = np.mean([b.window.origin + np.array(b.window.shape[::-1]) / 2 for b in blocks], axis=0)
+    asked, grids = pipeline.model, prior.base
+    if isinstance(grids, Transfer) and beyond(asked, grids, middle, reference.shape) is not None:
+        # In the secondary's own pixels, where tie points of blocks lie, no such model holds what both images state.
+        pipeline = replace(pipeline, model=Affine)
     matches, owners, shapes = merged.matches, merged.blocks, (reference.shape, secondary.shape)
     known: Any = {"seed": seed, "initial": initial, "search_radius": search_radius}
     ground = heights_words(heights) if prior.source.startswith("geolocation") else ""
@@ -388,8 +395,6 @@ def _finished(
             )
     stated = None
     if prior.stated and draft.model:
-        # The blocks lie where both images see the ground.
-        middle = np.mean([b.window.origin + np.array(b.window.shape[::-1]) / 2 for b in blocks], axis=0)
         stated = linear_at(prior, middle)
     result = pipeline.judged(
         draft, reference.shape, merged.chance_shape, further=gates, seconds=timings, stated=stated, **known
@@ -406,7 +411,9 @@ def _finished(
             "blocks": counts,
             "block_table": with_final(table, owners[result.inliers]),
             "tie_point_blocks": owners,
-            "prior": prior.record() | ({} if stated is None else {"linear": stated.tolist()}),
+            "prior": prior.record()
+            | ({} if stated is None else {"linear": stated.tolist()})
+            | ({} if asked is pipeline.model else {"model": asked.__name__.lower()}),
             "heights": heights,
             "accuracy": accuracy(result.model, final, errors, result.gates, reference.shape),
             "block_seconds": seconds,

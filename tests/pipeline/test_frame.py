@@ -172,6 +172,10 @@ def test_a_slight_stretch_is_taken_out_for_a_model_that_does_not_hold_it(scene: 
     assert (result.status, result.reason) == ("ok", "")
     assert off(result, lambda p: (p + 0.5) * (1, ratio) - 0.5) < 0.3
     assert isinstance(result.model, Affine)
+    blocks = featreg.match(reference, secondary, model="similarity", block=200, workers=1, executor="serial")
+    assert (blocks.status, blocks.provenance["prior"]["model"]) == ("ok", "similarity")
+    assert off(blocks, lambda p: (p + 0.5) * (1, ratio) - 0.5) < 0.3
+    assert "no similarity holds what both images state" in dict(model_facts(blocks))["model"]
     plain = featreg.match(reference, secondary, model="similarity", prior="none")
     assert plain.status == "unreliable"
     # A zoom is one, and needs no frame.
