@@ -51,9 +51,9 @@ def test_damaged_files_are_read_or_refused(kind: str, fuzz: Any, sound: list[Any
         assert fuzz.outcome(seed.read, seed.path) == "read"
         for number in range(TRIALS):
             path = fuzz.trial(seed, number, SEED, tmp_path / f"{seed.path.name}-{number}")
-            start = time.perf_counter()
+            start = time.process_time()
             assert fuzz.outcome(seed.read, path) in ("read", "refused"), (seed.damaged.name, number)
-            assert time.perf_counter() - start < fuzz.LONGEST_S
+            assert time.process_time() - start < fuzz.LONGEST_S
 
 
 def test_every_kind_is_damaged(sound: list[Any]) -> None:
