@@ -84,7 +84,8 @@ def warp(
     if deramp:
         if not image.is_complex:
             raise ParameterError(f"{image.name}: holds {image.source_dtype} samples, deramp needs complex ones")
-        ramp = ramp_of(open_source(secondary if of_file else image, **of_file))
+        is_file = isinstance(secondary, str | Path)
+        ramp = ramp_of(open_source(secondary, **reading) if is_file else open_source(image))
     warped = resample(image, model, shape, resampling=resampling, ramp=ramp)
     return blanked(warped.pixels, warped.mask)
 
