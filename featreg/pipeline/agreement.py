@@ -161,9 +161,11 @@ class Agreement:
             return None
         # Of the smoothed secondary every other pixel of the reference's grid is enough.
         stride = step // 2
+        # Made here, its rows are shared out to threads; within one of two things side by side they would not be.
+        smooth = despeckled(secondary)
 
         def seen() -> F32:
-            view = sampled(despeckled(secondary), model, reference.shape, stride)
+            view = sampled(smooth, model, reference.shape, stride)
             return contrast(smaller(view, step // stride), valid)
 
         here, there = side_by_side([lambda: contrast(smaller(despeckled_halved(reference), step // 2), valid), seen])

@@ -59,3 +59,9 @@ def scratch(name: str, shape: tuple[int, ...]) -> NDArray[np.float32]:
     if kept is None or kept.size < count:
         by_name[name] = kept = np.empty(count, np.float32)
     return kept[:count].reshape(shape)
+
+
+def scratch_bytes(name: str, shape: tuple[int, int]) -> NDArray[np.uint8]:
+    """As `scratch`, of uint8."""
+    count = prod(shape)
+    return scratch(name, (-(-count // 4),)).view(np.uint8)[:count].reshape(shape)

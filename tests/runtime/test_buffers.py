@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from featreg.runtime import buffers
-from featreg.runtime.buffers import keeping, scratch
+from featreg.runtime.buffers import keeping, scratch, scratch_bytes
 
 
 def test_an_array_is_kept_while_the_work_runs_and_grows_with_what_is_asked_for() -> None:
@@ -64,3 +64,12 @@ def test_large_arrays_are_not_mapped_anew_each_time() -> None:
     done = subprocess.run([sys.executable, "-c", code], env=plain, capture_output=True, text=True, check=True)
     before, after = (int(count) for count in done.stdout.split())
     assert after < 0.2 * before
+
+
+def test_bytes_are_kept_as_well() -> None:
+    with keeping():
+        first = scratch_bytes("bytes", (5, 7))
+        assert first.shape == (5, 7)
+        assert first.dtype == np.uint8
+        assert first.flags.c_contiguous
+        assert np.shares_memory(first, scratch_bytes("bytes", (3, 4)))

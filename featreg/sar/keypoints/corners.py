@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from featreg.runtime.buffers import scratch_bytes
 from featreg.sar.pyramid import REACH
 from featreg.types import BoolArray, FloatArray, IntArray
 
@@ -39,7 +40,11 @@ def fast_corners(
     """
     from featreg.sar.keypoints import corner_kernels
 
-    score = np.zeros(image.shape, np.uint8)
+    score = scratch_bytes("FAST scores", (image.shape[0], image.shape[1]))
+    # What the kernel leaves alone; of an image without an inside, all of it.
+    for rim in (slice(3), slice(-3, None)):
+        score[rim] = 0
+        score[:, rim] = 0
     corner_kernels.fast_scores(np.ascontiguousarray(image), threshold, 3, 1, score)
     room = image.size // 4 + 1
     at, values = np.empty(room, np.int64), np.empty(room, np.uint8)

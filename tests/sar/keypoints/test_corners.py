@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from featreg.runtime.buffers import keeping, scratch_bytes
 from featreg.sar.keypoints import corner_kernels
 from featreg.sar.keypoints.corners import fast_corners, orientation, refine_centroid, refine_corner
 from featreg.sar.pyramid import share_out
@@ -282,3 +283,14 @@ def test_finer_levels_get_the_larger_shares() -> None:
     shares = share_out(1000, [1000] * 6, 1.5)
     assert shares == sorted(shares, reverse=True)
     assert shares[0] / shares[1] == pytest.approx(1.5, rel=0.02)
+
+
+def test_what_stood_in_kept_memory_has_no_influence() -> None:
+    image = np.random.default_rng(0).integers(0, 256, (40, 50)).astype(np.uint8)
+    allowed = np.ones(image.shape, np.bool_)
+    alone = fast_corners(image, 20, allowed, 100)
+    with keeping():
+        scratch_bytes("FAST scores", (60, 60))[:] = 255
+        again = fast_corners(image, 20, allowed, 100)
+    for one, other in zip(alone, again, strict=True):
+        np.testing.assert_array_equal(one, other)
