@@ -88,6 +88,7 @@ def describe(
     from featreg.errors import InputError
     from featreg.io.opening import open_reader
     from featreg.io.raster_source import open_source
+    from featreg.io.scales import scale_of_words
 
     reader = open_reader(file)
     try:
@@ -96,7 +97,7 @@ def describe(
         reader.close()
     listed = [
         {"name": b.name, "dtype": b.dtype, "width": b.shape[1], "height": b.shape[0]}
-        | {"role": b.role, "states": b.said or ""}
+        | {"role": b.role, "states": scale_of_words(b.said) or ""}
         for b in bands
     ]
     found: dict[str, Any] = {"file": file, "format": driver, "bands": listed}
@@ -111,7 +112,7 @@ def describe(
     head = source.head
     choice = {"one": "", "luminance": "luminance of red, green and blue", "iq": "complex samples of I and Q"}
     told = "stated" if scale else "its samples"
-    if not scale and head.first.said == source.known_scale:
+    if not scale and scale_of_words(head.first.said) == source.known_scale:
         told = "the name of the file" if head.first.said_by_file else "its names and units"
     told = "its dtype" if source.is_complex else told
     return found | {

@@ -29,11 +29,15 @@ SMALL_NEGATIVE = 0.1
 WORDS = {
     "db": ("db", "decibel", "decibels"),
     "amplitude": ("amplitude", "magnitude", "amp", "mag"),
-    "intensity": ("intensity", "power", "sigma0", "gamma0", "beta0", "sigma", "gamma", "beta", "nrcs"),
+    "intensity": ("intensity", "power"),
+    "backscatter": ("sigma0", "gamma0", "beta0", "sigma", "gamma", "beta", "nrcs"),
 }
+#: Median of a backscatter coefficient at most, 10 dB: no ground scatters so much, and what is above is something else
+#: that is called so.
+MOST_BACKSCATTER = 10.0
 
 #: Those by which also the name of a file tells: no other thing is called so.
-FILE_WORDS = {"db": ("db",), "intensity": ("sigma0", "gamma0", "beta0", "nrcs")}
+FILE_WORDS = {"db": ("db",), "backscatter": ("sigma0", "gamma0", "beta0", "nrcs")}
 
 logger = logging.getLogger("featreg.io")
 
@@ -72,8 +76,8 @@ def real_pixels(
     if valid is None and samples.size and scale in (None, "amplitude"):
         # The common case in two quick passes: NaN fails both comparisons.
         low, high = samples.min(), samples.max()
-        other = scale is None and _by_words(said, samples.dtype, high) != "amplitude"
-        if low >= 0 and high <= np.finfo(np.float32).max and not other:
+        linear = low >= 0 and high <= np.finfo(np.float32).max
+        if linear and (scale is not None or _by_words(said, samples.dtype, samples) == "amplitude"):
             if low == high and content:
                 raise NoContentError(_constant(name, float(low)))
             return samples.astype(np.float32, order="C", copy=not owned), None, "amplitude"
@@ -87,7 +91,7 @@ def real_pixels(
         if below:
             scale = _inferred_scale(values[valid], below, name, said)
         else:
-            scale = _by_words(said, samples.dtype, values[valid].max()) if valid.any() else "amplitude"
+            scale = _by_words(said, samples.dtype, values[valid]) if valid.any() else "amplitude"
     elif scale == "db" and content:
         _check_decibels(values[valid], name)
     if below and scale == "intensity":
@@ -146,7 +150,10 @@ def check_content(pixels: NDArray[Any], valid: BoolArray, name: str) -> None:
 
 
 def scale_in_words(*texts: str | None) -> str | None:
-    """Return the scale that the name or unit of a band states ("Sigma0_VV_db", "Intensity_VH", "dB"), or None."""
+    """Return what the name or unit of a band states ("Sigma0_VV_db", "Intensity_VH", "dB").
+
+    A scale, "backscatter" for a coefficient, which its samples must bear out, or None.
+    """
     words = set(re.split(r"[^a-z0-9]+", " ".join(text for text in texts if text).lower()))
     return next((scale for scale, known in WORDS.items() if words.intersection(known)), None)
 
@@ -161,6 +168,7 @@ def _inferred_scale(values: NDArray[Any], below: int, name: str, said: str | Non
     """Return the scale of valid samples, `below` of them negative, where it can be told without a silent guess."""
     low, high = values.min(), values.max()
     share = below / values.size
+    said = scale_of_words(said)
     in_range = DB_RANGE[0] <= low and high <= DB_RANGE[1]
     if said in ("amplitude", "intensity") and in_range and share > MOST_NEGATIVE:
         message = "%s: is called %s, but %.0f %% of its values are negative: taken as decibels; state scale= to be sure"
@@ -186,15 +194,24 @@ def _inferred_scale(values: NDArray[Any], below: int, name: str, said: str | Non
     )
 
 
-def _by_words(said: str | None, dtype: np.dtype[Any], high: Any) -> str:
-    """Return the scale of samples none of which is negative, the highest of them `high`.
+def _by_words(said: str | None, dtype: np.dtype[Any], values: NDArray[Any]) -> str:
+    """Return the scale of valid samples none of which is negative; `dtype` is that in which they are stored.
 
-    What the file says counts for numbers that are no whole ones, decibels where they can be; digital numbers are
-    amplitudes whatever they are called.
+    What the file says counts for numbers that are no whole ones, where they can be decibels or a backscatter
+    coefficient; digital numbers are amplitudes whatever they are called.
     """
     if said is None or dtype.kind != "f":
         return "amplitude"
-    return said if said != "db" or float(high) <= DB_RANGE[1] else "amplitude"
+    if said == "db":
+        return "db" if float(values.max()) <= DB_RANGE[1] else "amplitude"
+    if said == "backscatter":
+        return "intensity" if float(np.median(values)) <= MOST_BACKSCATTER else "amplitude"
+    return said
+
+
+def scale_of_words(said: str | None) -> str | None:
+    """Return the scale that is meant by what `scale_in_words` found: a backscatter coefficient is an intensity."""
+    return "intensity" if said == "backscatter" else said
 
 
 def _noise_removed(values: NDArray[Any]) -> bool:

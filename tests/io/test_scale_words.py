@@ -46,6 +46,8 @@ def write(path: Path, samples: Any, name: str = "", driver: str = "GTiff") -> Pa
         ("S1_sigma0_VV.tif", "VV", POWER, "amplitude"),
         ("scene.tif", "", POWER, "amplitude"),
         ("a.tif", "Sigma0_VV", (POWER * 1e4).astype(np.uint16), "amplitude"),
+        ("a.tif", "Sigma0_VV", POWER * 1e3, "amplitude"),
+        ("a.tif", "Intensity_VV", POWER * 1e3, "intensity"),
         ("a_db.tif", "", (POWER * 1e4).astype(np.int16), "amplitude"),
     ],
 )
