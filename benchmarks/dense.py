@@ -1,6 +1,6 @@
 """`sar-dense` beside OpenCV's ORB in time, and what its parts are worth.
 
-    python benchmarks/dense.py [--rounds 7] [--pairs 24] [--optical 12] [--seed 0] [--unrelated 24] [--halves]
+    python benchmarks/dense.py [--rounds 7] [--pairs 24] [--optical 12] [--seed 0] [--unrelated 24]
                                [--picture FILE.jpg]
 
 Time: one 600 x 600 pair of real texture under fresh speckle of four looks, or a simulated one; `sar-dense`, the same
@@ -10,9 +10,6 @@ features.
 Parts: dates and change pairs, the second turned by any angle and scaled by up to 10 %, optical-SAR pairs of the data,
 and crops of different places, with the global search, the verification or the further candidates left out, and with
 locating or refinement, which are off for this method, put in.
-
-Halves: how far apart the models of two halves of the windows lie on the optical-SAR pairs of the data, which asks no
-label; half of it is about the error of the model of all.
 
 Picture: hard simulated pairs, aligned by `sar-dense`, and what other methods say of them.
 """
@@ -34,9 +31,7 @@ from pairs import by_opencv
 from trust import scenes, unrelated
 
 import featreg
-from featreg.geometry import Affine, Similarity
-from featreg.geometry.robust import irls
-from featreg.interfaces import FailedFit
+from featreg.geometry import Affine
 from featreg.simulate import sar_pair
 from featreg.simulate.pairs import similarity_matrix
 
@@ -169,35 +164,6 @@ def matched(reference: Image, secondary: Image, name: str, keywords: dict[str, A
     return featreg.match(reference, secondary, method="sar-dense", model="similarity", seed=0, **keywords)
 
 
-def halves() -> str:
-    apart = []
-    for file in sorted((DATA / "optical_sar").glob("*_1.jpg")):
-        reference, secondary = read(file), read(file.with_name(file.name.replace("_1.", "_2.")))
-        # Black is what lies outside an image that was turned within its own frame.
-        seen = cv2.morphologyEx((secondary > 12).astype(np.uint8), cv2.MORPH_CLOSE, np.ones((7, 7), np.uint8)) > 0
-        result = featreg.match(
-            reference, secondary, method="sar-dense", model="similarity", seed=0, secondary_mask=seen
-        )
-        if result.status != "ok":
-            continue
-        here, there = result.matches.reference_xy, result.matches.secondary_xy
-        board = (here // (max(reference.shape) / 4)).sum(axis=1) % 2 == 0
-        one, other = (
-            irls(Similarity, here[half], there[half], scale_px=0.3, iterations=8)[0] for half in (board, ~board)
-        )
-        if not isinstance(one, FailedFit) and not isinstance(other, FailedFit):
-            apart.append(apart_px(one, other, reference.shape))
-    quartiles = [round(float(value), 2) for value in np.quantile(apart, [0.25, 0.5, 0.75])] if apart else ["-"] * 3
-    return table(("optical-SAR pairs", "halves apart px, quartile", "median", "quartile"), [[len(apart), *quartiles]])
-
-
-def apart_px(one: Any, other: Any, shape: tuple[int, ...]) -> float:
-    """Root mean square distance of two models over a grid, px of the secondary."""
-    x, y = np.meshgrid(np.linspace(0, shape[1] - 1, 15), np.linspace(0, shape[0] - 1, 15))
-    grid = np.column_stack([x.ravel(), y.ravel()])
-    return float(np.sqrt(((one(grid) - other(grid)) ** 2).sum(axis=1).mean()))
-
-
 def hard_pairs(seed: int) -> Iterator[tuple[str, Image, Image, NDArray[np.float64] | None]]:
     """(title, reference, secondary, truth or None where there is none) of simulated pairs, 300 x 300."""
     shape = (300, 300)
@@ -252,7 +218,6 @@ def main() -> None:
     parser.add_argument("--optical", type=int, default=12, help="optical-SAR pairs")
     parser.add_argument("--unrelated", type=int, default=24)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--halves", action="store_true")
     parser.add_argument("--picture", help="JPEG of hard pairs to write")
     given = parser.parse_args()
     rng = np.random.default_rng(given.seed)
@@ -261,8 +226,6 @@ def main() -> None:
         print(f"{times(rng, given.rounds)}\n")
     if given.pairs:
         print(parts(rng, given.pairs, given.optical, given.unrelated, given.seed))
-    if given.halves:
-        print(halves())
     if given.picture:
         picture(given.picture, given.seed)
 

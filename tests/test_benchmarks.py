@@ -142,3 +142,30 @@ def test_a_simulated_couple_is_not_called_that_of_the_paper(what: str, same: boo
     drawn = couple(Couple("a", 0.0, image, image), what)
     assert ("The same parking lot as in the paper" in drawn.beside) == same
     assert "40 x 40 px" in drawn.shown
+
+
+def test_three_corners_tell_the_error_of_each() -> None:
+    from labels import errors
+
+    rng = np.random.default_rng(0)
+    sigma = np.array([1.9, 0.5, 1.2])
+    off = sigma[:, None, None] * rng.normal(size=(3, 20_000, 2)) / np.sqrt(2)
+    squares = [((off[i] - off[j]) ** 2).sum(axis=1).mean() for i, j in ((0, 1), (0, 2), (1, 2))]
+    np.testing.assert_allclose(errors(np.array(squares)), sigma, rtol=0.05)
+
+
+def test_information_is_highest_where_two_images_lie() -> None:
+    from labels import Information, square_apart
+    from outline import turned_about_centres
+    from pair_protocol import KnownPair
+
+    image = landscape(200, 4)
+    truth = turned_about_centres((200, 200), 128, 12.0)
+    # Grey values of another kind: neither their order nor their differences are kept.
+    other = np.abs(cv2.warpAffine(image, truth, (128, 128)).astype(np.int64) - 120).astype(np.uint8)
+    seen = cv2.warpAffine(np.ones_like(image), truth, (128, 128)) > 0
+    pair = KnownPair("pair", "pair", image, other, truth, seen)
+    start = truth + np.array([[0.005, 0.01, 0.5], [-0.01, 0.005, -1.0]])
+    assert square_apart(Affine(start), Affine(truth), pair) > 1.0
+    found = Information(pair).highest(start)[1]
+    assert square_apart(Affine(found), Affine(truth), pair) < 0.2

@@ -13,6 +13,7 @@ from featreg.interfaces import FailedFit, Model
 from featreg.pipeline.agreement import Agreement, Windows
 from featreg.pipeline.identical import stands_still
 from featreg.pipeline.steps import Draft
+from featreg.pipeline.structure import structural_drift
 from featreg.pipeline.trust import Limits
 from featreg.pipeline.trust_measures import distinct, log10_chance
 from featreg.runtime.threads import side_by_side
@@ -123,6 +124,13 @@ def agreement_gates(
             meaning="share of the tie points that stand still, as pixels do that are identical in both images "
             f"({100 * identical.mean():.2g} % of them) while their surroundings disagree: frames, labels, dead pixels, "
             "a fixed pattern; those of the matcher did not vote",
+        )
+    moved = structural_drift(reference, secondary, model) if limits.structure_px < math.inf else None
+    if moved is not None:
+        gates["structure"] = Gate(
+            moved[0],
+            high=limits.structure_px * max(1.0, moved[1]),
+            meaning="how far the directions of structure move together beyond the model, px",
         )
     # A pattern over the whole image leaves nothing to compare when it is left out.
     without = None if identical is None or identical.all() else identical

@@ -71,6 +71,9 @@ class Limits:
         found nothing
     drift_px : root mean square over the windows of the images of the affine field in which they move beyond the model,
         at most; inf for no such gate
+    structure_px : root mean square over the windows of the images by which their structure moves together beyond the
+        model, at most; as many samples where the images are compared by samples larger than a pixel; inf for no such
+        gate
     local : share of the image that moves otherwise than the model, at most; half of it where a refinement found nothing
     alias : correlation of the aligned images at the best other shift, or after half a turn, over that at the model, at
         most
@@ -100,6 +103,7 @@ class Limits:
     local: float = 0.1
     # Of these pairs within 1 px all had at most 2.9; a model 10 px off had 6.3.
     drift_px: float = 3.5
+    structure_px: float = math.inf
     alias: float = 0.8
     scene: float = 0.06
     identical: float = 0.5

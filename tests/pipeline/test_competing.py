@@ -20,6 +20,7 @@ from featreg.pipeline.agreement import Agreement
 from featreg.pipeline.competing import agreement_gates, rival_gate
 from featreg.pipeline.identical import identical_pixels, without_identical
 from featreg.pipeline.steps import Draft
+from featreg.pipeline.structure import structural_drift
 from featreg.pipeline.trust import Limits
 from featreg.types import Matches
 
@@ -376,6 +377,34 @@ def test_windows_that_drift_together_tell_a_model_that_is_right_in_one_part_only
     assert other.windows.log10_chance(6) > -2
     # The more a model can do, the more windows follow one by chance.
     assert right.windows.log10_chance(12) > right.windows.log10_chance(6)
+
+
+def test_structure_tells_how_far_a_model_is_off_where_intensities_cannot_be_compared() -> None:
+    ground = scene(10)
+    smooth = gaussian_filter(ground, 2)
+    # Bright is dark, as between sensors of another kind.
+    a, b = as_image(seen(ground, 1)), as_image(np.float32(smooth.mean() ** 2) / (smooth + 0.1 * smooth.mean()))
+    right, turned = Affine(np.eye(3)[:2]), Affine(np.array([[1.0, -0.03, 0.03 * 199.5], [0.03, 1.0, -0.03 * 199.5]]))
+    there = structural_drift(a, b, right)
+    away = structural_drift(a, b, turned)
+    assert there is not None
+    assert away is not None
+    assert there[1] == pytest.approx(SIDE / 256, rel=0.01)
+    assert there[0] < there[1]
+    x, y = np.meshgrid(np.linspace(30, 370, 9), np.linspace(30, 370, 9))
+    grid = np.column_stack([x.ravel(), y.ravel()])
+    expected = np.sqrt(((turned(grid) - grid) ** 2).sum(axis=1).mean())
+    assert away[0] == pytest.approx(expected, rel=0.25)
+    assert structural_drift(a, b, Translation(390, 0)) is None
+
+    rng = np.random.default_rng(0)
+    here, every = rng.uniform(10, 390, (300, 2)), np.ones(300, np.bool_)
+    for model, passed in ((right, True), (turned, False)):
+        draft = Draft(Matches(here, model(here), np.ones(300)), {"fsc": every}, every, every, every, model)
+        gate = agreement_gates(draft, a, b, Limits(structure_px=3.0))[0]["structure"]
+        assert gate.passed is passed
+        assert gate.high == pytest.approx(3.0 * there[1], rel=0.01)
+    assert "structure" not in agreement_gates(draft, a, b, Limits())[0]
 
 
 @pytest.mark.parametrize("model", [Affine(np.array([[0.98, 0.1, 3.3], [-0.1, 1.02, -4.6]])), TURNED_HOMOGRAPHY])

@@ -17,6 +17,7 @@ SAID = {
     "stability": f"at most {Limits().stability_px:g}, and at most {Limits().stability_by_spread_px:g} times `spread` "
     f"({BENT * Limits().stability_by_spread_px:g} times for homographies and polynomials)",
     "drift": f"at most {Limits().drift_px:g}",
+    "structure": "only where the method states one",
     "search": "at most 0.6 of the prior's uncertainty",
     "distortion": "only where the method states one",
     "dilution": "only where the method states one",

@@ -26,7 +26,7 @@ SAME = 0.03
 MEETING, MOST_MEETINGS = 0.9, 3
 #: Near a known alignment: samples along the longer side at most and at least, the largest displacement in samples that
 #: is allowed for, and by how many more windows are correlated, so that a rank says something.
-MOST_SAMPLES, LEAST_SAMPLES, NEAR_REACH, NEAR_MARGIN = 256, 128, 12, 6
+MOST_SAMPLES, LEAST_SAMPLES, NEAR_REACH, NEAR_MARGIN = 256, 128, 12, 4
 
 
 @dataclass(frozen=True)

@@ -88,25 +88,54 @@ def _copied(flat: F32, height: int, width: int, y: int, x: int, rows: int, colum
 
 
 @compiled
-def _squares(panel: F32, rows: int, columns: int, out: F32) -> None:
-    """Fill out[y, x] with the squared length of the samples of a panel."""
-    for y in range(rows):
-        row, start = out[y], np.uint64(y * STRIDE)
-        for x in range(np.uint64(columns)):
-            i = start + np.uint64(2) * x
-            row[x] = panel[i] * panel[i] + panel[i + np.uint64(1)] * panel[i + np.uint64(1)]
+def _squares(panel: F32, start: int, columns: int, out: F32) -> None:
+    """Fill `out` with the squared lengths of the samples of a row of a panel."""
+    here = np.uint64(start)
+    for x in range(np.uint64(columns)):
+        i = here + np.uint64(2) * x
+        out[x] = panel[i] * panel[i] + panel[i + np.uint64(1)] * panel[i + np.uint64(1)]
 
 
 @compiled
-def _entered(row: F32, sums: NDArray[np.float64]) -> None:
+def _entered(row: F32, sums: F32) -> None:
     for x in range(sums.shape[0]):
-        sums[x] += np.float64(row[x])
+        sums[x] += row[x]
 
 
 @compiled
-def _moved_down(enter: F32, leave: F32, sums: NDArray[np.float64]) -> None:
+def _moved_down(enter: F32, leave: F32, sums: F32) -> None:
     for x in range(sums.shape[0]):
-        sums[x] += np.float64(enter[x]) - np.float64(leave[x])
+        sums[x] += enter[x] - leave[x]
+
+
+@compiled
+def _energies(panel: F32, side: int, reach: int, squares: F32, columns: F32, out: F32) -> np.float32:
+    """Fill out[dy * shifts + dx] with the energy of each displaced window; the largest of them."""
+    wide, shifts = side + 2 * reach, 2 * reach + 1
+    for y in range(wide):
+        _squares(panel, y * STRIDE, wide, squares[y])
+    columns[:] = 0
+    for y in range(side):
+        _entered(squares[y], columns)
+    largest = np.float32(0)
+    for dy in range(shifts):
+        value = 0.0
+        for x in range(side):
+            value += np.float64(columns[x])
+        for dx in range(shifts):
+            out[dy * shifts + dx] = value
+            largest = max(largest, np.float32(value))
+            if dx < shifts - 1:
+                value += np.float64(columns[side + dx]) - np.float64(columns[dx])
+        if dy < shifts - 1:
+            _moved_down(squares[dy + side], squares[dy], columns)
+    return largest
+
+
+@compiled
+def _related(values: F32, energies: F32, least: np.float32, own: np.float32) -> None:
+    for k in range(values.shape[0]):
+        values[k] /= np.sqrt(max(energies[k], least) * own + np.float32(1e-12))
 
 
 @compiled
@@ -127,43 +156,23 @@ def correlations_of_windows(
     rows, lanes = (side + 7) // 8 * 8, (2 * side + 15) // 16 * 16
     # What is beyond a window stays 0.
     window, other = np.zeros(rows * STRIDE, np.float32), np.zeros((rows + 2 * reach + 4) * STRIDE, np.float32)
-    squares, columns = np.empty((wide, wide), np.float32), np.empty(wide, np.float64)
-    energy = np.empty((shifts, shifts), np.float64)
+    squares, columns = np.empty((wide, wide), np.float32), np.empty(wide, np.float32)
+    energies, products = np.empty(shifts * shifts, np.float32), np.empty(shifts * shifts, np.float32)
     sum0, sum1 = np.empty(lanes, np.float32), np.empty(lanes, np.float32)
     sum2, sum3 = np.empty(lanes, np.float32), np.empty(lanes, np.float32)
     folded, totals = np.empty(64, np.float32), np.empty(4, np.float32)
     for i in range(ys.shape[0]):
         _copied(here, height, width, ys[i], xs[i], side, side, window)
         _copied(there, height, width, ys[i] - reach, xs[i] - reach, wide, wide, other)
-        _squares(window, side, side, squares)
-        own = 0.0
-        columns[:] = 0
-        for y in range(side):
-            _entered(squares[y], columns[:side])
-        for x in range(side):
-            own += columns[x]
-        _squares(other, wide, wide, squares)
-        columns[:] = 0
-        for y in range(side):
-            _entered(squares[y], columns)
-        largest = 0.0
-        for dy in range(shifts):
-            value = 0.0
-            for x in range(side):
-                value += columns[x]
-            for dx in range(shifts):
-                energy[dy, dx] = value
-                largest = max(largest, value)
-                if dx < shifts - 1:
-                    value += columns[side + dx] - columns[dx]
-            if dy < shifts - 1:
-                _moved_down(squares[dy + side], squares[dy], columns)
+        own = _energies(window, side, 0, squares, columns[:side], energies)
+        largest = _energies(other, side, reach, squares, columns, energies)
         for dy in range(0, shifts, 4):
             for dx in range(shifts):
                 _four_products(window, other, dy * STRIDE + 2 * dx, lanes, rows, sum0, sum1, sum2, sum3)
                 _totals(sum0, sum1, sum2, sum3, folded, totals)
                 for k in range(min(4, shifts - dy)):
-                    out[i, dy + k, dx] = totals[k]
+                    products[(dy + k) * shifts + dx] = totals[k]
+        _related(products, energies, np.float32(least * largest), own)
         for dy in range(shifts):
             for dx in range(shifts):
-                out[i, dy, dx] /= np.sqrt(max(energy[dy, dx], least * largest) * own + 1e-12)
+                out[i, dy, dx] = products[dy * shifts + dx]
