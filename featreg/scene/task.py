@@ -24,6 +24,7 @@ from featreg.pipeline.steps import ROUNDS, SCALE_PX, filtered, survivors
 from featreg.runtime.timing import collecting, stage
 from featreg.sar.bridging import bridged, on_samples
 from featreg.scene.blocks import Block, proportional_part
+from featreg.scene.drawn import moving, without_drawn, words
 from featreg.scene.prior import Prior
 from featreg.scene.window_model import WindowModel
 from featreg.types import BoolArray, FloatArray, Image, IntArray, Matches
@@ -85,7 +86,7 @@ class BlockResult:
     ----------
     index : of the block
     status : "done", "skipped" or "failed"
-    reason : why it was skipped or failed
+    reason : why it was skipped or failed, or what of it did not vote
     matches : its own putative tie points
     stages : name -> (M,) bool, of the prior and of each local filter, in their order
     refined : its own refined tie points
@@ -137,13 +138,19 @@ def _matched(job: Job, prior: Prior, block: Block) -> BlockResult:
     if there is None:
         return BlockResult(block.index, "skipped", "outside the secondary")
     with stage("read"):
-        reference = bridged(job.reference.read(here))
+        read = job.reference.read(here)
+        reference = bridged(read)
         why = skip_reason(reference, "reference")
         if not why:
-            secondary = bridged(job.secondary.read(there))
+            read_there = job.secondary.read(there)
+            secondary = bridged(read_there)
             why = skip_reason(secondary, "secondary")
     if why:
         return BlockResult(block.index, "skipped", why, window=there)
+    with stage("identical"):
+        read, read_there, drawn = without_drawn(job.reference, job.secondary, here, there, read, read_there)
+        if drawn is not None:
+            reference, secondary = bridged(read), bridged(read_there)
     frame = None if job.areas else _frame(job, prior, here, there)
     if frame is not None:
         with stage("prior"):
@@ -155,6 +162,9 @@ def _matched(job: Job, prior: Prior, block: Block) -> BlockResult:
         found = job.matcher.match_near(reference, secondary, expected, math.sqrt(2) * prior.uncertainty_px)
     found = on_samples(found, reference, secondary)
     own = found if frame is None else frame.back(found)
+    if drawn is not None:
+        rows = np.flatnonzero(moving(own, here, there))
+        found, own = found.take(rows), own.take(rows)
     rng = np.random.default_rng([job.seed, block.index])
     known = None if job.initial is None else WindowModel(job.initial, here, there)
     middle = here.x + here.width / 2, here.y + here.height / 2
@@ -192,7 +202,7 @@ def _matched(job: Job, prior: Prior, block: Block) -> BlockResult:
     return BlockResult(
         block.index,
         "done",
-        "",
+        "" if drawn is None else words(drawn),
         matches.take(mine),
         {name: mask[mine] for name, mask in stages.items()},
         refined,
