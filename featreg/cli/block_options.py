@@ -24,6 +24,16 @@ LARGE_BYTES = 4_000_000
 DRAWN = 1000
 
 
+def check_resume(resume: str | None) -> None:
+    """Raise where what is finished could not be kept in the folder of `--resume`."""
+    if resume is None:
+        return
+    folder = Path(resume)
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"--resume '{folder}' is a file, a folder is needed")
+    check_folder(folder if folder.is_dir() else folder.absolute().parent, f"--resume '{folder}'")
+
+
 @dataclass(frozen=True)
 class ClusterOptions:
     """Where work of many parts is run, and where what is finished is kept."""
@@ -51,11 +61,7 @@ class ClusterOptions:
         """Raise where two options contradict each other, or a folder cannot be used."""
         if self.scheduler is not None and workers is not None:
             raise ParameterError("--scheduler brings its own workers: leave --workers out")
-        if self.resume is not None:
-            folder = Path(self.resume)
-            if folder.exists() and not folder.is_dir():
-                raise InputError(f"--resume '{folder}' is a file, a folder is needed")
-            check_folder(folder if folder.is_dir() else folder.parent, f"--resume '{folder}'")
+        check_resume(self.resume)
 
 
 @dataclass(frozen=True)

@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 import typer
 
 from featreg.cli import completion
-from featreg.cli.block_options import SceneOptions
+from featreg.cli.block_options import SceneOptions, check_resume
 from featreg.cli.options import (
     MethodOptions,
     announce_compiling,
-    check_folder,
     check_name,
     check_output,
     counter,
@@ -273,9 +272,7 @@ class OutputOptions:
             raise ParameterError(f"--layout is for --out .md, .csv or .tex; '{self.out}' would hold everything")
         check_output(self.report, "--report", suffixes=(".html",))
         check_output(self.save, "--save", suffixes=EXPERIMENTS)
-        if self.resume is not None:
-            path = Path(self.resume)
-            check_folder(path if path.exists() else path.absolute().parent, f"--resume '{self.resume}'")
+        check_resume(self.resume)
 
     def write(self, study: Study, layout: str | None = None) -> Table:
         """Print the table of a study and write what was asked for."""

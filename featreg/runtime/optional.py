@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from typing import Any
 
 from featreg.errors import PluginUnavailableError
@@ -18,11 +19,7 @@ def import_pandas() -> Any:
     PluginUnavailableError
         It cannot be imported.
     """
-    try:
-        import pandas
-    except (ImportError, OSError) as error:
-        raise PluginUnavailableError(f"a DataFrame needs pandas ({error}); {PANDAS_CURE}") from error
-    return pandas
+    return _imported("pandas", "a DataFrame needs pandas", PANDAS_CURE)
 
 
 def import_torch() -> Any:
@@ -33,8 +30,11 @@ def import_torch() -> Any:
     PluginUnavailableError
         It cannot be imported.
     """
+    return _imported("torch", "torch cannot be imported", TORCH_CURE)
+
+
+def _imported(name: str, wanted: str, cure: str) -> Any:
     try:
-        import torch
+        return importlib.import_module(name)
     except (ImportError, OSError) as error:
-        raise PluginUnavailableError(f"torch cannot be imported ({error}); {TORCH_CURE}") from error
-    return torch
+        raise PluginUnavailableError(f"{wanted} ({error}); {cure}") from error
