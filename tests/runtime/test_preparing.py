@@ -33,7 +33,7 @@ def test_listed_kernels_are_translated_in_a_copy_of_the_package(tmp_path: Path) 
     shutil.copytree(PACKAGE, tmp_path / "featreg", ignore=shutil.ignore_patterns("__pycache__", "*.bc"))
     (tmp_path / "featreg" / "__init__.py").write_text("raise RuntimeError('not to be run')\n")
     listed = json.loads(LIST.read_text(encoding="utf-8"))
-    some = {MODULE: {"mark_matches": listed[MODULE]["mark_matches"], "gone": [["int"]]}}
+    some = {MODULE: {"matches_of_turns": listed[MODULE]["matches_of_turns"], "gone": [["int"]]}}
     (tmp_path / "featreg" / "runtime" / LIST.name).write_text(json.dumps(some))
     script = tmp_path / "featreg" / "runtime" / "preparing.py"
     done = subprocess.run(
@@ -43,7 +43,7 @@ def test_listed_kernels_are_translated_in_a_copy_of_the_package(tmp_path: Path) 
     (made,) = tmp_path.rglob("*.bc")
     header, _, body = made.read_bytes().partition(b"\n")
     (entry,) = json.loads(header)["kernels"]
-    assert (entry["kernel"], entry["key"]) == ("mark_matches", listed[MODULE]["mark_matches"][0])
+    assert (entry["kernel"], entry["key"]) == ("matches_of_turns", listed[MODULE]["matches_of_turns"][0])
     start, size = entry["at"]
     machine = precompiled.Machine()
     assert machine.address(entry["symbol"], body[start : start + size])
