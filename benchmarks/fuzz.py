@@ -72,7 +72,7 @@ class Seed:
     def text(self) -> bool:
         return self.damaged.suffix.lower() in (
             ".json", ".csv", ".txt", ".points", ".pts", ".yaml", ".toml", ".hdr", ".rsc", ".xml",
-            ".vrt", ".ers", ".safe",
+            ".vrt", ".ers", ".safe", ".asc", ".sgrd",
         )  # fmt: skip
 
 

@@ -18,8 +18,10 @@ import cv2
 import h5py
 import numpy as np
 import rasterio
+import rasterio.shutil
 from rasterio.control import GroundControlPoint
 from rasterio.rpc import RPC
+from rasterio.vrt import WarpedVRT
 from scipy.io import netcdf_file, savemat
 from scipy.sparse import csc_array
 
@@ -134,6 +136,10 @@ def formats(root: Path, place: Any) -> Iterator[Sound]:
         "roi.slc": ("ROI_PAC", COMPLEX, "roi.slc.rsc"), "hfa.img": ("HFA", AMPLITUDE, ""),
         "mapper.ers": ("ERS", AMPLITUDE, ""), "esri.bil": ("EHdr", AMPLITUDE, "esri.hdr"),
         "pci.pix": ("PCIDSK", AMPLITUDE, ""), "wavelets.jp2": ("JP2OpenJPEG", AMPLITUDE, ""),
+        "lines.gif": ("GIF", (AMPLITUDE // 4).clip(0, 255).astype(np.uint8), ""),
+        "gray.pgm": ("PNM", AMPLITUDE, ""), "heights.asc": ("AAIGrid", AMPLITUDE.astype(np.int32), ""),
+        "planet.vic": ("VICAR", AMPLITUDE.astype(np.float32), ""), "planet.cub": ("ISIS3", AMPLITUDE, ""),
+        "label.xml": ("PDS4", AMPLITUDE, ""), "grid.sdat": ("SAGA", AMPLITUDE.astype(np.float32), "grid.sgrd"),
     }  # fmt: skip
     for name, (driver, samples, header) in written.items():
         path = _folder(root, name) / name
@@ -152,6 +158,13 @@ def formats(root: Path, place: Any) -> Iterator[Sound]:
     )
     yield "formats", path, windows
     yield "formats", path, whole, path.with_suffix(".tif")
+    path = _folder(root, "w.vrt") / "w.vrt"
+    with rasterio.open(path.with_suffix(".tif"), "w", driver="GTiff", dtype="uint16", **one, **where) as dataset:
+        dataset.write(AMPLITUDE, 1)
+    with rasterio.open(path.with_suffix(".tif")) as dataset, WarpedVRT(dataset, crs="EPSG:32633") as warped:
+        rasterio.shutil.copy(warped, path, driver="VRT")
+    yield "formats", path, windows
+    path = root / "a-vrt" / "a.vrt"
     with zipfile.ZipFile(_folder(root, "p.zip") / "p.zip", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.write(path.with_suffix(".tif"), "inside/a.tif")
     yield "formats", root / "p-zip" / "p.zip", windows
