@@ -138,27 +138,11 @@ def collect_maxima(score: U8, allowed: U8, least: int, at: I64, values: U8) -> i
 def intensity_centroid(image: F32 | U8, xs: I64, ys: I64, radius: int, stride: int, angle: F64) -> None:
     """Angle from each point to the intensity centroid of the disc around it, counter-clockwise as seen (y up)."""
     height, width = image.shape
-    most = (2 * (radius // stride) + 1) ** 2
-    across, down = np.empty(most, np.int64), np.empty(most, np.int64)
-    count = 0
-    for dy in range(-(radius // stride) * stride, radius + 1, stride):
-        for dx in range(-(radius // stride) * stride, radius + 1, stride):
-            if dx * dx + dy * dy <= radius * radius:
-                across[count], down[count] = dx, dy
-                count += 1
     for i in range(xs.shape[0]):
         x0 = xs[i]
         y0 = ys[i]
         mx = 0.0
         my = 0.0
-        if x0 >= radius and y0 >= radius and x0 < width - radius and y0 < height - radius:
-            # No place has to be brought back into the image.
-            for n in range(count):
-                v = float(image[np.uint64(y0 + down[n]), np.uint64(x0 + across[n])])
-                mx += across[n] * v
-                my += down[n] * v
-            angle[i] = np.arctan2(-my, mx)
-            continue
         for dy in range(-(radius // stride) * stride, radius + 1, stride):
             y = min(max(y0 + dy, 0), height - 1)
             row = image[y]
