@@ -5,8 +5,8 @@ kernel and each kind of arguments that the methods use, what numba makes of it b
 The first call optimises it for the processor at hand (a tenth of a second or less) and keeps the object on disk; later
 starts load that. The steps are numba's own, and so are the bits of the results.
 
-Where a file is missing, was made for another system, another LLVM or from another source, there is nothing prepared,
-and numba compiles as ever. `FEATREG_KERNELS=numba` asks for that.
+Where a file is missing, was made for another system, another LLVM, from another source or by another translator, there
+is nothing prepared, and numba compiles as ever. `FEATREG_KERNELS=numba` asks for that.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ from featreg.runtime.files import write_atomic
 
 logger = logging.getLogger(__name__)
 
-#: What was done to the objects that are kept; another name, and they are made again.
-PASSES = "loops"
+#: What translates kernels: where it changed, what it made before does not serve.
+TRANSLATOR = Path(__file__).with_name("precompiling.py")
 #: Offsets in bytes of the fields of an array of numpy: its data, extents and strides.
 DATA, EXTENTS, STRIDES = 16, 32, 40
 #: Of a call whose arguments are of another kind.
@@ -163,7 +163,7 @@ def file_of(source: Path) -> Path:
 
 
 def source_digest(kernel: Source) -> str:
-    """Digest of the source of a kernel's module and of those from which it takes kernels."""
+    """Digest of the source of a kernel's module, of those from which it takes kernels, and of what translates them."""
     paths = {kernel.path}
     left = [kernel]
     while left:
@@ -172,8 +172,8 @@ def source_digest(kernel: Source) -> str:
                 paths.add(used.path)
             if used.path != kernel.path:
                 left.append(used)
-    digest = hashlib.sha256()
-    for path in sorted(paths, key=lambda path: path.name):
+    digest = hashlib.sha256(f"{DATA} {EXTENTS} {STRIDES}".encode())
+    for path in (TRANSLATOR, *sorted(paths, key=lambda path: path.name)):
         digest.update(path.read_bytes())
     return digest.hexdigest()
 
@@ -271,7 +271,7 @@ class Machine:
     def address(self, symbol: str, packed: bytes) -> int | None:
         """Where the code of a symbol lies in memory; None where it cannot be made."""
         version = ".".join(map(str, self.llvm.llvm_version_info))
-        told = "\n".join((version, *self.processor, PASSES, symbol)).encode() + packed
+        told = "\n".join((version, *self.processor, _own_digest(), symbol)).encode() + packed
         name = f"{symbol[-24:]}-{hashlib.sha256(told).hexdigest()[:16]}.o"
         kept = _kept(name)
         if kept is None:
@@ -296,6 +296,12 @@ class Machine:
         builder = llvm.create_pass_builder(target, options)
         builder.getModulePassManager().run(module, builder)
         return bytes(target.emit_object(module))
+
+
+@cache
+def _own_digest() -> str:
+    """Digest of this file, whose last passes decide on an object."""
+    return hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
 
 
 @cache

@@ -122,6 +122,33 @@ def test_a_changed_source_and_a_damaged_file_are_left_to_numba(tmp_path: Path) -
         assert (found is not None) is serves, number
 
 
+def test_what_another_translator_made_is_left_to_numba(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    in_place(corner_kernels)
+    kernel: Any = corner_kernels.score_of_rank
+    of_this = precompiled.source_digest(kernel)
+    assert [entry["source"] for entry in precompiled.current(kernel)] == [of_this]
+    other = tmp_path / "precompiling.py"
+    other.write_bytes(precompiled.TRANSLATOR.read_bytes())
+    monkeypatch.setattr(precompiled, "TRANSLATOR", other)
+    assert precompiled.source_digest(kernel) == of_this
+    other.write_bytes(other.read_bytes() + b"#")
+    monkeypatch.setattr(precompiled, "_digest", precompiled.source_digest)
+    assert precompiled.source_digest(kernel) != of_this
+    assert precompiled.current(kernel) == []
+
+
+def test_an_object_of_other_last_passes_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    in_place(motion_kernels)
+    monkeypatch.setattr(precompiled, "folder", lambda: tmp_path)
+    kernel: Any = motion_kernels.matches_of_turns
+    entry, body = precompiled.current(kernel)[0], precompiled.file_of(kernel.path).read_bytes().partition(b"\n")[2]
+    start, size = entry["at"]
+    for number in (1, 1, 2):
+        monkeypatch.setattr(precompiled, "_own_digest", lambda number=number: str(number))
+        assert precompiled.Machine().address(entry["symbol"], body[start : start + size])
+    assert len(list(tmp_path.iterdir())) == 2
+
+
 def test_an_object_that_was_cut_short_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     in_place(motion_kernels)
     monkeypatch.setattr(precompiled, "folder", lambda: tmp_path)
