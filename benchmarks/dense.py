@@ -201,7 +201,8 @@ def picture(path: str, seed: int) -> None:
         blank = np.full((300, 300), 235, np.uint8)
         views = [to_bytes(reference), to_bytes(secondary), blank if board is None else board, panel]
         rows.append(np.hstack([cv2.copyMakeBorder(view, 4, 4, 4, 4, cv2.BORDER_CONSTANT, value=255) for view in views]))
-    cv2.imwrite(path, np.vstack(rows), [cv2.IMWRITE_JPEG_QUALITY, 80])
+    shown = cv2.resize(np.vstack(rows), None, fx=2 / 3, fy=2 / 3, interpolation=cv2.INTER_AREA)
+    cv2.imwrite(path, shown, [cv2.IMWRITE_JPEG_QUALITY, 75])
 
 
 def to_bytes(image: Image) -> NDArray[np.uint8]:
