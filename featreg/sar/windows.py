@@ -105,7 +105,8 @@ def aligned_windows(
         some, maps = np.ascontiguousarray(corners[which] - reach), np.ascontiguousarray(affine[which])
         middle = some + (wide - 1) / 2
         starts = np.floor(np.einsum("nij,nj->ni", maps[:, :, :2], middle) + maps[:, :, 2] - (box - 1) / 2)
-        starts = starts.astype(np.int64)
+        # Of what lies wholly beyond the rim the last pixels are wanted.
+        starts = np.clip(starts, 2 - box, np.array([width, height]) - 1.0).astype(np.int64)
         boxes = _under(_logs(amplitude, floor, starts, box, smooth), smooth)
         out = np.empty((len(some), wide, wide), np.float32)
         window_kernels.sampled_windows(

@@ -75,10 +75,15 @@ def test_windows_on_another_grid_are_those_of_the_resampled_map(image: Image, ma
     assert np.sqrt(np.mean((found - wanted) ** 2)) < 0.01
 
 
-def test_windows_that_lie_wholly_beyond_the_image_are_its_rim(image: Image) -> None:
-    far = np.tile([[[1.0, 0.0, 5000.0], [0.0, 1.0, -5000.0]]], (2, 1, 1))
-    found = aligned_windows(image, far, image.shape, np.array([[10, 10], [60, 70]]), SIDE)
-    assert np.isfinite(found).all()
+@pytest.mark.parametrize(("x", "y"), [(5000, -5000), (-5000, 30), (170, 5000), (-45, -60)])
+def test_windows_that_lie_wholly_beyond_the_image_are_its_rim(image: Image, x: int, y: int) -> None:
+    at, smooth = np.array([[10, 10], [11, 14]]), despeckled(image)
+    far = np.tile([[[1.0, 0.0, x], [0.0, 1.0, y]]], (2, 1, 1))
+    found = aligned_windows(image, far, image.shape, at, SIDE, gaussian(1.0))
+    for window, (left, top) in zip(found, at, strict=True):
+        columns = np.clip(x + left + np.arange(SIDE), 0, 150)
+        rows = np.clip(y + top + np.arange(SIDE), 0, 129)
+        np.testing.assert_allclose(window, smooth[np.ix_(rows, columns)], atol=1e-2)
 
 
 def test_filtered_windows_are_those_of_the_filtered_map(image: Image) -> None:
