@@ -17,6 +17,7 @@ from featreg.io.hdf5 import is_behind_user_block, is_classic_netcdf, is_hdf5, op
 from featreg.io.palsar import PalsarReader, is_palsar
 from featreg.io.plausible import check_size, sample_bytes
 from featreg.io.product_folders import LEADING, MANIFEST, FolderTree, ZipTree, open_member, open_product, open_safe
+from featreg.io.radarsat2 import CalibratedRadarsat2Reader
 from featreg.io.reader import Raster, Reader
 from featreg.io.sicd import SicdReader, standard_of
 from featreg.io.sidd import SiddReader
@@ -47,6 +48,8 @@ def open_reader(source: str | Path) -> Reader:
     head = check_file(name.path)
     if name.gdal is not None:
         check_utf8(name.path)
+        if name.gdal[0] == "RS2":
+            return within_folder(name.path, CalibratedRadarsat2Reader(name.absolute(), name.path, name.text))
         return within_folder(name.path, GdalReader(name.absolute(), [name.gdal[0]], name.text))
     if not head:
         return _open_folder(name.path)

@@ -110,6 +110,36 @@ def test_radarsat_2(name: str, tmp_path: Path) -> None:
         as_image(folder)
 
 
+def test_radarsat_2_as_gdal_calibrates_it(tmp_path: Path) -> None:
+    header = radarsat(tmp_path) / "product.xml"
+    named = '<lookupTable incidenceAngleCorrection="Sigma Nought">lutSigma.xml</lookupTable>'
+    text, image = header.read_text(), '<fullResolutionImageData pole="HH">'
+    header.write_text(text.replace(image, named + image))
+    gains = np.linspace(2.0, 5.0, W)
+    table = f"<lut><offset>7.0</offset><gains>{' '.join(map(str, gains))}</gains></lut>"
+    (tmp_path / "lutSigma.xml").write_text(table)
+    source = f"RADARSAT_2_CALIB:SIGMA0:{header}"
+    found = as_image(source, band="HH")
+    assert found.scale == "intensity"
+    np.testing.assert_allclose(found.pixels**2, (AMPLITUDE.astype(np.float64) ** 2 + 7) / gains, rtol=1e-5)
+    plain = as_image(f"RADARSAT_2_CALIB:UNCALIB:{header}", band="HH")
+    np.testing.assert_array_equal(plain.pixels, AMPLITUDE)
+    with pytest.raises(InputError, match="unknown quantity 'SIGMA', did you mean 'SIGMA0'"):
+        as_image(f"RADARSAT_2_CALIB:SIGMA:{header}", band="HH")
+    # GDAL reads beyond a short table and ends the process without one.
+    (tmp_path / "lutSigma.xml").write_text(table.replace("2.0 ", "", 1))
+    with pytest.raises(InputError, match=r"no whole table to calibrate by 'sigma nought' .*does not hold 90 gains"):
+        as_image(source, band="HH")
+    (tmp_path / "lutSigma.xml").unlink()
+    with pytest.raises(InputError, match="No such file"):
+        as_image(source, band="HH")
+    with pytest.raises(InputError, match=r"'beta nought' .the header names none"):
+        as_image(f"RADARSAT_2_CALIB:BETA0:{header}", band="HH")
+    header.write_text(text.replace(image, named.replace("lutS", "../lutS") + image))
+    with pytest.raises(InputError, match="outside"):
+        as_image(source, band="HH")
+
+
 @pytest.mark.parametrize("name", ["", "TSX1_SAR__SSC.xml", "IMAGEDATA/IMAGE_HH_SRA.cos"])
 def test_terrasar_x(name: str, tmp_path: Path) -> None:
     source = terrasar(tmp_path) / name
