@@ -116,13 +116,18 @@ def real_pixels(
 
 def _check_decibels(values: NDArray[Any], name: str) -> None:
     """Raise where most samples can be no decibels, as linear ones that somebody calls so."""
-    outside = (values < DB_RANGE[0]) | (values > DB_RANGE[1])
-    if values.size and float(outside.mean()) > MOST_OUTSIDE:
+    outside = _share_outside(values)
+    if outside > MOST_OUTSIDE:
         raise InputError(
-            f"{name}: scale 'db' cannot be: {100 * float(outside.mean()):.0f} % of the samples lie outside "
+            f"{name}: scale 'db' cannot be: {100 * outside:.0f} % of the samples lie outside "
             f"{DB_RANGE[0]:g} to {DB_RANGE[1]:g} dB (they reach from {float(values.min()):.4g} to "
             f"{float(values.max()):.4g}); leave the scale out, or state amplitude or intensity"
         )
+
+
+def _share_outside(values: NDArray[Any]) -> float:
+    """Share of samples that can be no decibels."""
+    return float(((values < DB_RANGE[0]) | (values > DB_RANGE[1])).mean()) if values.size else 0.0
 
 
 def complex_pixels(
@@ -161,7 +166,9 @@ def scale_in_words(*texts: str | None) -> str | None:
 def scale_in_name(stem: str) -> str | None:
     """Return the scale that the name of a file states which says nothing inside ("..._VV_gamma0-rtc_db"), or None."""
     words = set(re.split(r"[^a-z0-9]+", stem.lower()))
-    return next((scale for scale, known in FILE_WORDS.items() if words.intersection(known)), None)
+    found = next((scale for scale, known in FILE_WORDS.items() if words.intersection(known)), None)
+    # "gamma0_amplitude" is the root of the coefficient.
+    return scale_in_words(stem) if found == "backscatter" else found
 
 
 def _inferred_scale(values: NDArray[Any], below: int, name: str, said: str | None) -> str:
@@ -170,6 +177,9 @@ def _inferred_scale(values: NDArray[Any], below: int, name: str, said: str | Non
     share = below / values.size
     said = scale_of_words(said)
     in_range = DB_RANGE[0] <= low and high <= DB_RANGE[1]
+    if said == "db" and _share_outside(values) > MOST_OUTSIDE:
+        logger.warning("%s: is called decibels, but most of its values cannot be: the word was left out", name)
+        said = None
     if said in ("amplitude", "intensity") and in_range and share > MOST_NEGATIVE:
         message = "%s: is called %s, but %.0f %% of its values are negative: taken as decibels; state scale= to be sure"
         logger.warning(message, name, said, 100 * share)

@@ -43,6 +43,7 @@ def write(path: Path, samples: Any, name: str = "", driver: str = "GTiff") -> Pa
         ("S1A__IW___A_20150309T173017_VV_gamma0-rtc_db.tif", "", DB, "db"),
         ("S1A__IW___A_20150309T173017_VV_grd_mli_geo_norm_db.tif", "", DB - DB.min(), "db"),
         ("S1_sigma0_VV.tif", "Amplitude_VV", POWER, "amplitude"),
+        ("S1_VV_gamma0_amplitude.tif", "", POWER, "amplitude"),
         ("S1_sigma0_VV.tif", "VV", POWER, "amplitude"),
         ("scene.tif", "", POWER, "amplitude"),
         ("a.tif", "Sigma0_VV", (POWER * 1e4).astype(np.uint16), "amplitude"),
@@ -89,3 +90,13 @@ def test_the_header_of_snap_says_which_file_to_give(tmp_path: Path) -> None:
     (tmp_path / "product.dim").write_text('<?xml version="1.0"?><Dimap_Document name="product.dim"></Dimap_Document>')
     with pytest.raises(InputError, match=r"header of SNAP; give one of its bands: .*product\.data/Sigma0_VV\.img'"):
         as_image(tmp_path / "product.dim")
+
+
+def test_words_that_samples_belie_are_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    linear = np.random.default_rng(1).exponential(3000.0, (40, 60)).astype(np.float32) - 20
+    assert (linear < 0).any()
+    path = write(tmp_path / "a_db.tif", linear)
+    image = as_image(path)
+    assert image.scale == "intensity"
+    assert "is called decibels, but most of its values cannot be" in caplog.text
+    np.testing.assert_allclose(image.pixels, np.sqrt(np.maximum(linear, 0)), rtol=1e-5)
