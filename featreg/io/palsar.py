@@ -66,7 +66,7 @@ class PalsarReader:
     def __init__(self, path: Path) -> None:
         single = IMAGE.fullmatch(path.name)
         product = single[2] if single is not None else path.name.removeprefix("VOL-")
-        files = [path] if single is not None else sorted(path.parent.glob(f"IMG-??-{glob_escaped(product)}*"))
+        files = [path] if single is not None else images_of(path.parent, product)
         if not files:
             raise InputError(f"{path}: has no image beside it, IMG-HH-{product} or of another polarisation")
         self._images = [image_file(file) for file in files]
@@ -178,9 +178,15 @@ def corners_of(leader: Path) -> NDArray[np.float64] | None:
     return found if good else None
 
 
-def glob_escaped(text: str) -> str:
-    """The text with what `Path.glob` reads as a pattern taken for itself."""
-    return re.sub(r"([*?[])", r"[\1]", text)
+def images_of(folder: Path, product: str) -> list[Path]:
+    """The image files of a product in a folder, those of beams among them; not what other programs put beside them."""
+    found = []
+    for file in sorted(folder.iterdir()):
+        named = IMAGE.fullmatch(file.name)
+        beam = None if named is None else BEAM.fullmatch(named[2])
+        if named is not None and product in (named[2], beam and beam[1]):
+            found.append(file)
+    return found
 
 
 def _name(path: Path) -> str:

@@ -83,6 +83,8 @@ def test_corners_of_level_15_locate_it(tmp_path: Path) -> None:
 
 def test_beams_of_scansar_are_bands(tmp_path: Path) -> None:
     product(tmp_path, DETECTED, "ALOS2015976960-140909-WBDR1.1__D")
+    # What other programs write beside images is none.
+    (tmp_path / "IMG-HH-ALOS2015976960-140909-WBDR1.1__D-F1.aux.xml").write_text("<PAMDataset/>")
     for beam in (1, 2):
         for polarisation in ("HH", "HV"):
             source = tmp_path / f"IMG-{polarisation}-ALOS2015976960-140909-WBDR1.1__D"
