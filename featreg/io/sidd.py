@@ -68,6 +68,8 @@ class SiddReader(GdalReader):
                 row, col = np.meshgrid(*(np.linspace(0, n - 1, GRID) for n in shape), indexing="ij")
                 pixels = np.column_stack([row.ravel(), col.ravel()])
                 ground = geodetic(sidd.pixel_to_ecef(tree, pixels))
+                if not np.isfinite(ground).all():
+                    raise ValueError("it does not reach the ground")
         except (
             InputError,
             ArithmeticError,
@@ -83,8 +85,6 @@ class SiddReader(GdalReader):
                 self.called,
                 error,
             )
-            return None
-        if not np.isfinite(ground).all():
             return None
         return Geolocation(
             crs="EPSG:4326", gcps=np.column_stack([pixels[:, ::-1], ground]), sensor=sensor_of_sidd(tree)

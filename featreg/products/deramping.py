@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -19,6 +20,8 @@ from featreg.products.tops_phase import TopsPhase
 from featreg.types import BoolArray
 
 Ramp: TypeAlias = PhaseRamp | TopsPhase
+
+logger = logging.getLogger(__name__)
 
 
 def stated_ramp(source: Source) -> TopsPhase | None:
@@ -59,6 +62,22 @@ def ramp_of(source: Source) -> Ramp:
         return estimate_phase_ramp(read, source.shape)
     except InputError as error:
         raise InputError(f"{source.path}: {error}") from error
+
+
+def warn_of_ramp(source: Source) -> None:
+    """Say in the log that samples of TOPS, as the annotation states it, are about to be interpolated with their ramp.
+
+    Raises
+    ------
+    InputError
+        As `stated_ramp`.
+    """
+    if source.is_complex and stated_ramp(source) is not None:
+        logger.warning(
+            "%s: is a TOPS image, whose phase ramp no interpolator carries: its phase will be wrong without deramp "
+            "(--deramp)",
+            source.path,
+        )
 
 
 def without_ramp(pixels: NDArray[Any], ramp: Ramp, x: int, y: int) -> NDArray[Any]:

@@ -14,7 +14,7 @@ from featreg.io.data_arrays import DataArrayReader, is_data_array
 from featreg.io.raster_files import is_same
 from featreg.io.raster_source import located_source, open_source
 from featreg.products.data_arrays import blanked, warped_data_array
-from featreg.products.deramping import ramp_of
+from featreg.products.deramping import ramp_of, warn_of_ramp
 from featreg.products.resample import model_of, resample, stated_shape
 from featreg.results.registration import Registration
 from featreg.types import Image
@@ -86,6 +86,8 @@ def warp(
             raise ParameterError(f"{image.name}: holds {image.source_dtype} samples, deramp needs complex ones")
         is_file = isinstance(secondary, str | Path)
         ramp = ramp_of(open_source(secondary, **reading) if is_file else open_source(image))
+    elif image.is_complex and resampling != "nearest" and isinstance(secondary, str | Path):
+        warn_of_ramp(open_source(secondary, **reading))
     warped = resample(image, model, shape, resampling=resampling, ramp=ramp)
     return blanked(warped.pixels, warped.mask)
 

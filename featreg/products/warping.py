@@ -5,7 +5,6 @@ Windows go in order into a plain tiled TIFF, which is then copied to a cloud-opt
 
 from __future__ import annotations
 
-import logging
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -26,7 +25,7 @@ from featreg.io.source_names import parse_source
 from featreg.io.writers import refuse_input, replacing
 from featreg.products.coherence import coherence as coherence_of
 from featreg.products.coherence import window_size
-from featreg.products.deramping import Ramp, ramp_of, stated_ramp, with_ramp, without_ramp
+from featreg.products.deramping import Ramp, ramp_of, warn_of_ramp, with_ramp, without_ramp
 from featreg.products.files import Runner, bounded_cache, cloud_optimised, rasterio_window, tiled_tiff
 from featreg.products.grid import Grid, grid_model, inputs_of, reference_grid
 from featreg.products.lattice import Lattice, lattice_of
@@ -42,8 +41,6 @@ from featreg.types import BoolArray
 
 #: Most pixels of the secondary that one output window reads.
 MOST_READ = 3 << 20
-
-logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -182,12 +179,8 @@ def warp_file(
         raise ParameterError(f"{secondary}: has {len(sources)} bands, the coherence is that of one; give its number")
     partner = None if coherence is None else _partner(grid, registration)
     ramp = ramp_of(sources[0]) if deramp else None
-    if not deramp and resampling != "nearest" and sources[0].is_complex and stated_ramp(sources[0]) is not None:
-        logger.warning(
-            "%s: is a TOPS image, whose phase ramp no interpolator carries: its phase will be wrong without deramp "
-            "(--deramp)",
-            secondary,
-        )
+    if not deramp and resampling != "nearest":
+        warn_of_ramp(sources[0])
     encodings = [encoding_of(source) for source in sources]
     encodings = [replace(e, dtype=encodings[0].dtype, nodata=encodings[0].nodata) for e in encodings]
     job = _Job(tuple(sources), tuple(encodings), model, resampling, ramp)

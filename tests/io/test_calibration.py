@@ -184,6 +184,9 @@ def test_what_cannot_be_calibrated(tmp_path: Path) -> None:
     table.write_text(xml().replace("<pixel>0 30 79</pixel>", "<pixel>0 30</pixel>", 1))
     with pytest.raises(InputError, match="no whole calibration"):
         as_image(folder, band="VV", calibrate="sigma0")
+    table.write_text(xml().replace("<line>10</line>", "<line>nan</line>"))
+    with pytest.raises(InputError, match="no whole calibration"):
+        as_image(folder, band="VV", calibrate="sigma0")
     table.write_text("<calibration/>")
     with pytest.raises(InputError, match="holds no calibrationVector"):
         as_image(folder, band="VV", calibrate="sigma0")

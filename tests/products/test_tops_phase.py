@@ -138,6 +138,9 @@ def test_bursts_are_interpolated_right_with_deramping_and_wrong_without(
         errors[deramp] = np.linalg.norm((values - wanted)[good]) / np.linalg.norm(wanted[good])
         # No sample is made of two bursts.
         assert np.isnan(values[LINES - 1]).all() == deramp
+    caplog.clear()
+    warp(registration(burst), burst)
+    assert "phase will be wrong without deramp" in caplog.text
     inside = warp(registration(burst), burst, deramp=True)
     np.testing.assert_allclose(inside[good], values[good], atol=1e-4)
     assert errors[True] < 0.03
@@ -181,6 +184,7 @@ def test_what_is_said_of_it(burst: Path, capsys: pytest.CaptureFixture[str], tmp
         lambda text: text.replace(str(RATE[0]), "2000"),
         lambda text: text.replace(str(INTERVAL), "nan"),
         lambda text: text.replace("dcEstimateList", "list"),
+        lambda text: text.replace(f"<linesPerBurst>{LINES}<", f"<linesPerBurst>{LINES - 1}<"),
     ],
 )
 def test_a_broken_annotation_is_refused(change: Callable[[str], str]) -> None:

@@ -93,7 +93,7 @@ def sentinel1_calibration(name: str, content: bytes) -> Calibration:
 def _vector(vector: ElementTree.Element, table: str) -> tuple[float, FloatArray, FloatArray]:
     line = float(str(vector.findtext("line")))
     pixels, values = (np.array(str(vector.findtext(name)).split(), np.float64) for name in ("pixel", table))
-    good = len(pixels) == len(values) >= 1 and (np.diff(pixels) > 0).all() and np.isfinite(values).all()
-    if not good or not (values > 0).all():
+    good = len(pixels) == len(values) >= 1 and (np.diff(pixels) > 0).all()
+    if not good or not np.isfinite([line, *pixels, *values]).all() or not (values > 0).all():
         raise ValueError(f"the vector of line {line:g} has no pixels that increase with values > 0")
     return line, pixels, values

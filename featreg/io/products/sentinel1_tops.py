@@ -103,6 +103,8 @@ def _terms(root: ElementTree.Element, image: ElementTree.Element, bursts: list[E
         [_polynomial(_nearest(centroids, epoch, middle), "dataDcPolynomial") for middle in middles.tolist()],
     )  # fmt: skip
     scalars = np.array([interval, found.near_time, found.sample_interval, *found.steering_rates])
+    if lines * len(bursts) != int(_number(image, "numberOfLines")):
+        raise ValueError(f"{len(bursts)} bursts of {lines} lines are not those of the image")
     if lines < 1 or not (np.isfinite(scalars) & (scalars > 0)).all():
         raise ValueError("a number that must be above 0 is not")
     if not all(rate[0] < 0 for _, rate in found.fm_rates):
