@@ -23,8 +23,8 @@ def without_drawn(
     Returns
     -------
     reference, secondary : the windows, those pixels invalid
-    share : of the reference window's pixels that are shared; 1 where a pattern over all of it is, which leaving it out
-        would leave nothing of; None where there are none
+    share : of a window's pixels that are shared, the larger of the two; 1 where a pattern over all of it is, which
+        leaving it out would leave nothing of; None where there are none
 
     Notes
     -----
@@ -41,7 +41,7 @@ def without_drawn(
         seen, _ = without_identical(seen, seen, first)
     if second is not None:
         _, seen_there = without_identical(seen_there, seen_there, second)
-    return seen, seen_there, float(first.mean()) if first is not None else 0.0
+    return seen, seen_there, max(float(found.mean()) for found in (first, second) if found is not None)
 
 
 def moving(matches: Matches, here: Window, there: Window) -> BoolArray:

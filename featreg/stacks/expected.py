@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ YEAR = 365.25
 Expected = Callable[[int, int], float]
 
 
-def days_of_images(names: Sequence[str], dates: Sequence[Any] | None) -> list[date] | None:
+def days_of_images(names: Sequence[str], dates: Iterable[Any] | None) -> list[date] | None:
     """Return the day of each image: those that are given, else the first in each name; None where one has none.
 
     Parameters
@@ -36,22 +36,32 @@ def days_of_images(names: Sequence[str], dates: Sequence[Any] | None) -> list[da
         The dates are no days, or another number than the images.
     """
     if dates is None:
-        found = [DAY.search(Path(name).name) for name in names]
-        return None if any(day is None for day in found) else [_day(day[0]) for day in found if day is not None]
-    if isinstance(dates, str) or not isinstance(dates, Sequence | np.ndarray) or len(dates) != len(names):
-        told = f"{len(dates)} of them" if isinstance(dates, Sequence) and not isinstance(dates, str) else repr(dates)
+        found = [_day_in(name) for name in names]
+        return None if any(day is None for day in found) else [day for day in found if day is not None]
+    several = isinstance(dates, Iterable) and not isinstance(dates, str | bytes | Mapping)
+    given = list(dates) if several else []
+    if len(given) != len(names):
+        told = f"{len(given)} of them" if several else repr(dates)
         raise ParameterError(f"dates must be one day for each of the {len(names)} images, got {told}")
-    return [_day(day) for day in dates]
+    return [_day(day) for day in given]
+
+
+def _day_in(name: str) -> date | None:
+    found = DAY.search(Path(name).name)
+    try:
+        return None if found is None else date.fromisoformat(found[0])
+    except ValueError:  # as 20230231: it was another number
+        return None
 
 
 def _day(given: Any) -> date:
     if isinstance(given, np.datetime64):
         given = given.astype("datetime64[D]").item()
-    if isinstance(given, date):
-        return date(given.year, given.month, given.day)
     try:
+        if isinstance(given, date):
+            return date(given.year, given.month, given.day)
         return date.fromisoformat(str(given)[:10] if "-" in str(given) else str(given))
-    except ValueError:
+    except (ValueError, TypeError):  # the latter of a NaT of pandas, which is a date
         raise ParameterError(f"dates must be days as YYYYMMDD or YYYY-MM-DD, got '{given}'") from None
 
 
@@ -67,7 +77,7 @@ def expected_coherence(count: int, days: Sequence[date] | None, given: Any = Non
     ----------
     count : how many images
     days : of the images, where known
-    given : a function of two numbers of images, or a (count, count) table; it counts in place of the days
+    given : a function of two numbers of images i < k, or a (count, count) table; it counts in place of the days
 
     Notes
     -----
@@ -92,7 +102,8 @@ def _given(count: int, given: Any) -> Expected:
     if callable(given):
 
         def asked(i: int, k: int) -> float:
-            return _value(given(i, k), i, k)
+            # Of two images only what is between them counts, so that a function need not answer both ways round.
+            return _value(given(min(i, k), max(i, k)), i, k)
 
         return asked
     try:
@@ -107,14 +118,19 @@ def _given(count: int, given: Any) -> Expected:
 
     def looked_up(i: int, k: int) -> float:
         # A table may be filled above its diagonal only.
-        values = [v for v in (table[i, k], table[k, i]) if np.isfinite(v)]
+        values = [v for v in (table[i, k], table[k, i]) if not np.isnan(v)]
         return _value(max(values, default=0.0), i, k)
 
     return looked_up
 
 
 def _value(value: Any, i: int, k: int) -> float:
-    number = float(value)
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise ParameterError(
+            f"coherence of images {i} and {k} must be a number between 0 and 1, got {value!r:.60}"
+        ) from None
     if math.isnan(number):
         return 0.0
     if not 0 <= number <= 1:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from operator import index
 from typing import Any
 
 import numpy as np
@@ -32,12 +33,16 @@ def initials(given: Any, count: int) -> dict[str, Any] | None:
     ------
     ParameterError
         One model that is not the identity: it would say the same of every pair. Another number of models, a number that
-        is no image's.
+        is no image's, a pair that is given twice.
     """
     if given is None:
         return None
     if isinstance(given, Mapping):
-        return {"pairs": [_pair(key, model, count) for key, model in given.items()]}
+        made = [_pair(key, model, count) for key, model in given.items()]
+        twice = [(i, k) for n, (i, k, _) in enumerate(made) if any(other[:2] == [i, k] for other in made[:n])]
+        if twice:
+            raise ParameterError(f"initial is given both ways round for the pair {twice[0]}; leave one of them out")
+        return {"pairs": made}
     if isinstance(given, Model | np.ndarray) or _is_matrix(given):
         matrix = _model(given, "initial").matrix
         if matrix is None or not np.array_equal(matrix, np.eye(3)):
@@ -87,7 +92,7 @@ def with_one_more(kept: Mapping[str, Any] | Model | None, given: Any, count: int
 
 def _pair(key: Any, model: Any, count: int) -> list[Any]:
     try:
-        first, second = (int(n) for n in key)
+        first, second = (index(n) for n in key)
     except (TypeError, ValueError):
         raise ParameterError(f"initial is given for {key!r}, which is no pair (i, k) of numbers of images") from None
     if not (0 <= first < count and 0 <= second < count and first != second):

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from featreg.errors import InputError, ParameterError
+from featreg.matching import PRIORS
 from featreg.presets import DEFAULT_METHOD
 from featreg.runtime.executors import check_executor
 from featreg.runtime.parameters import check_seed
@@ -59,7 +60,7 @@ def register_stack(
         known), a dict {(i, k): model image i -> image k}, or the identity where the images lie on one grid.
         `search_radius` counts for the pairs that have one
     method, model, seed, keywords : as in `featreg.match`, for every pair; masks and bands of one of its images are
-        none of them: give `band`, and `Image` with masks of their own
+        none of them: give `band`, and `Image` with masks of their own; `prior` is no file of a result
     executor, workers, scheduler : what runs the pairs, or the blocks of each pair where the images are large; never
         changes the result
     resume : folder in which finished pairs are kept, and looked for; a longer stack finds those of a shorter one
@@ -104,6 +105,14 @@ def register_stack(
         raise ParameterError(
             f"{', '.join(wrong)} would mean another image in every pair of a stack; give band for all images, and "
             "masks with the images (featreg.as_image(file, mask=...))"
+        )
+    if keywords.get("search_radius") is not None and initial is None:
+        raise ParameterError("search_radius needs initial, the models around which to search")
+    prior = keywords.get("prior")
+    if prior is not None and prior not in PRIORS:
+        raise ParameterError(
+            f"prior of a stack must be {' or '.join(map(repr, PRIORS))}, got {prior!r:.60}; what is known of one pair "
+            "is given as initial={(i, k): model}"
         )
     options = {"method": method, "model": model, "seed": int(seed), "initial": initial, **keywords}
     how = {"executor": executor, "workers": workers, "scheduler": scheduler, "resume": resume, "cancel": cancel}

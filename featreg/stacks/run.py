@@ -78,10 +78,12 @@ def registered(
 
 def added(stack: Stack, image: Any, **how: Any) -> Stack:
     """Return `Stack.add`."""
-    unknown = set(how) - {"executor", "workers", "scheduler", "resume", "cancel", "progress", "initial", "date"}
+    known = {"executor", "workers", "scheduler", "resume", "cancel", "progress", "initial", "date", "coherence"}
+    unknown = set(how) - known
     if unknown:
         raise ParameterError(
-            f"add knows how the work is run, and date and initial of the image, not {', '.join(sorted(unknown))}"
+            "add knows how the work is run, date and initial of the image, and coherence, not "
+            f"{', '.join(sorted(unknown))}"
         )
     options, pairs = dict(stack.provenance["options"]), stack.provenance["pairs"]
     lost = sorted(name for name, value in options.items() if isinstance(value, Unkept))
@@ -98,7 +100,8 @@ def added(stack: Stack, image: Any, **how: Any) -> Stack:
     check_watch(progress, how.get("cancel"))
     dates = _dates_with(stack, image, how.pop("date", None))
     options["initial"] = with_one_more(options.get("initial"), how.pop("initial", None), len(stack.images) + 1)
-    work = _Work([*stack.images, image], options, progress, how, dates)
+    coherence = how.pop("coherence", None)
+    work = _Work([*stack.images, image], options, progress, how, dates, coherence)
     work.found = {(pair.first, pair.second): pair for pair in stack.pairs}
     wanted = work.planned(stack.reference, pairs)
     work.match([pair for pair in wanted if len(stack.images) in pair])

@@ -167,7 +167,8 @@ class Stack(Shown):
 
         `keywords` say how the work is run (executor, workers, resume, progress, cancel), and of the image its `date`
         and `initial`: a model from the grid of the others' initial models, or a dict of its pairs, as
-        `featreg.register_stack` has them.
+        `featreg.register_stack` has them. `coherence` is of all images with the new one; a stack does not keep what was
+        given of it before, and without it the dates count.
         """
         from featreg.stacks.run import added
 

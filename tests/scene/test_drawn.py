@@ -53,6 +53,17 @@ def test_windows_lose_what_is_drawn_at_their_own_place_in_the_scene(places: list
     assert share == pytest.approx((seen.pixels == WHITE).mean(), rel=0.3)
 
 
+def test_what_is_drawn_on_one_of_two_windows_alone_is_told_of(places: list[NDArray[np.float32]]) -> None:
+    first, second = sources(*(np.where(np.arange(SIDE) < 200, image, labelled(image)) for image in places))
+    here, there = Window(0, 0, 200, 560), Window(100, 0, 300, 560)
+    seen, seen_there = first.read(here), second.read(there)
+    reference, secondary, share = without_drawn(first, second, here, there, seen, seen_there)
+    assert reference is seen
+    assert share is not None
+    assert share == pytest.approx((seen_there.pixels == WHITE).mean(), rel=0.3)
+    assert secondary.mask.mean() < 1 - share / 2
+
+
 def test_scenes_of_one_place_or_of_two_sizes_are_left_as_they_are(places: list[NDArray[np.float32]]) -> None:
     here = Window(100, 60, 300, 300)
     for first, second in (sources(*map(labelled, places[:1] * 2)), sources(labelled(places[0]), places[1][:-9])):

@@ -65,18 +65,32 @@ def test_what_the_user_expects_counts_in_place_of_dates() -> None:
     for given in (table, lambda i, k: table[i, k]):
         assert plan(["20230101"] * 4, coherence=given) == [(0, 3), (1, 3), (2, 3)]
         assert plan(["20230101"] * 4, "all", coherence=given) == [(0, 1), (0, 2), (0, 3), (1, 3), (2, 3)]
-    for wrong in (np.zeros((3, 3)), "high", lambda i, k: 1.5):
+    for wrong in (np.zeros((3, 3)), "high", lambda i, k: 1.5, lambda i, k: "high", np.full((4, 4), np.inf)):
         with pytest.raises(ParameterError, match="coherence"):
             plan(["20230101"] * 4, coherence=wrong)
+    asked: list[tuple[int, int]] = []
+
+    def half(i: int, k: int) -> float:
+        asked.append((i, k))
+        return 0.5
+
+    plan(["20230301", "20230201", "20230101"], coherence=half)
+    assert asked
+    assert all(i < k for i, k in asked)
 
 
 def test_days_come_from_names_or_are_given() -> None:
+    import pandas as pd
+
     names = ["S1A_IW_GRDH_1SDV_20240107T053000_x.tif", "b-20240119.tif"]
     assert days_of_images(names, None) == [date(2024, 1, 7), date(2024, 1, 19)]
     assert days_of_images([*names, "c.tif"], None) is None
-    given = [date(2024, 1, 7), "2024-01-19"]
-    assert days_of_images(["a", "b"], given) == days_of_images(["a", "b"], np.array(given, "datetime64[D]"))  # type: ignore[arg-type]
-    for wrong in (["20240107"], "20240107", ["20240107", "20241301"]):
+    assert days_of_images([*names, "frame_20230231.tif"], None) is None
+    given: Any = [date(2024, 1, 7), "2024-01-19"]
+    assert days_of_images(["a", "b"], given) == days_of_images(["a", "b"], np.array(given, "datetime64[D]"))
+    assert days_of_images(["a", "b"], pd.Series(pd.to_datetime(given))) == [date(2024, 1, 7), date(2024, 1, 19)]
+    none: Any = (["20240107"], "20240107", ["20240107", "20241301"], ["20240107", pd.NaT], 20240107)
+    for wrong in none:
         with pytest.raises(ParameterError, match="dates must be"):
             days_of_images(["a", "b"], wrong)
 
@@ -117,12 +131,20 @@ def test_models_of_pairs_are_taken_either_way_round() -> None:
         ("result.json", "cannot be str"),
         ({(0, 3): shift(1)}, "numbered 0 to 2"),
         ({1: shift(1)}, "no pair"),
+        ({(0, 1.5): shift(1)}, "no pair"),
+        ({(0, 1): shift(1), (1, 0): shift(1)}, "both ways round"),
         ([shift(0), None, [[1, 0], [0, 1]]], "initial of image 2"),
     ],
 )
 def test_initial_that_cannot_be_meant_is_refused(given: Any, words: str) -> None:
     with pytest.raises(ParameterError, match=words):
         featreg.register_stack([np.eye(64)] * 3, initial=given)
+
+
+def test_what_would_count_for_no_pair_or_for_all_is_refused() -> None:
+    for given, words in (({"search_radius": 5.0}, "search_radius needs initial"), ({"prior": "r.json"}, "prior of a")):
+        with pytest.raises(ParameterError, match=words):
+            featreg.register_stack([np.eye(64)] * 3, **given)
 
 
 def test_a_stack_with_models_known_beforehand(tmp_path: Path) -> None:
@@ -140,6 +162,8 @@ def test_a_stack_with_models_known_beforehand(tmp_path: Path) -> None:
     stack.to_json(tmp_path / "stack.json")
     again = Stack.from_json(tmp_path / "stack.json")
     again = type(again)(**{**vars(again), "images": list(series.images[:3])})
+    with pytest.raises(ParameterError, match=r"or a \(4, 4\) table"):
+        again.add(series.images[3], initial=known[3], date="20230206", coherence=np.ones((3, 3)))
     longer = again.add(series.images[3], initial=known[3], date="20230206", workers=1)
     assert longer.status == ["ok"] * 4
     assert longer.provenance["dates"] == ["2023-01-01", "2023-01-13", "2023-01-25", "2023-02-06"]
