@@ -119,7 +119,13 @@ def _dates_with(stack: Stack, image: Any, date: Any) -> list[Any] | None:
     if date is not None:
         return [*known, date]
     named = days_of_images([str(image)], None) if isinstance(image, str | Path) else None
-    return None if named is None else [*known, *named]
+    if named is None:
+        logger.warning(
+            "the day of the new image is not known, so that those of the others are not kept and say nothing of its "
+            "pairs; give date"
+        )
+        return None
+    return [*known, *named]
 
 
 def reading_of(options: Mapping[str, Any]) -> dict[str, Any]:

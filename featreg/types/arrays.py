@@ -62,12 +62,20 @@ def points(values: ArrayLike, what: str) -> FloatArray:
     InputError
         The values do not form an (N, 2) array of finite numbers.
     """
-    array = np.array(values, dtype=np.float64)
+    array = numbers(values, what)
     if array.size == 0:
         array = array.reshape(0, 2)
     if array.ndim != 2 or array.shape[1] != 2:
         raise InputError(f"{what} must be an (N, 2) array of (x, y), got shape {array.shape}")
     return read_only(finite(array, what))
+
+
+def numbers(values: ArrayLike, what: str, dtype: Any = np.float64) -> NDArray[Any]:
+    """Return an array of its own of `values`; an `InputError` where they are no numbers of that kind."""
+    try:
+        return np.array(values, dtype=dtype)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"{what} must be an array of {np.dtype(dtype).name}: {error}") from None
 
 
 def finite(array: FloatArray, what: str) -> FloatArray:
@@ -79,7 +87,7 @@ def finite(array: FloatArray, what: str) -> FloatArray:
 
 def column(values: ArrayLike, rows: int, what: str, dtype: Any = np.float64) -> NDArray[Any]:
     """Return `values` as a read-only (rows,) array; one number stands for all rows."""
-    array = np.array(values, dtype=dtype)
+    array = numbers(values, what, dtype)
     if array.ndim == 0:
         array = np.full(rows, array, dtype=dtype)
     if array.shape != (rows,):

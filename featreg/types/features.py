@@ -87,6 +87,8 @@ class Features(ReadOnlyArrays, Shown):
         if self.descriptors is not None:
             wanted = np.float32 if self.norm == "l2" else np.uint8
             d = self.descriptors
+            if not isinstance(d, np.ndarray):
+                raise InputError(f"descriptors must be ({n}, D) {np.dtype(wanted)}, got {type(d).__name__}")
             if d.ndim != 2 or len(d) != n or d.dtype != wanted:
                 raise InputError(f"descriptors must be ({n}, D) {np.dtype(wanted)}, got {d.dtype} {d.shape}")
             put(self, "descriptors", kept(d))

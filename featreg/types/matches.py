@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from featreg.errors import InputError
 from featreg.runtime.optional import import_pandas
 from featreg.runtime.showing import Shown, figure_of
-from featreg.types.arrays import FloatArray, IntArray, ReadOnlyArrays, column, points, read_only
+from featreg.types.arrays import FloatArray, IntArray, ReadOnlyArrays, column, numbers, points, read_only
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ class Matches(ReadOnlyArrays, Shown):
             if getattr(self, name) is not None:
                 put(self, name, column(getattr(self, name), m, f"Matches.{name}"))
         if self.covariance is not None:
-            covariance = np.array(self.covariance, dtype=np.float64)
+            covariance = numbers(self.covariance, "Matches.covariance")
             if covariance.shape != (m, 2, 2):
                 raise InputError(f"Matches.covariance must be ({m}, 2, 2), got {covariance.shape}")
             put(self, "covariance", read_only(covariance))

@@ -17,6 +17,7 @@ from featreg.simulate import sar_series
 from featreg.stacks.expected import days_of_images, expected_coherence, in_order
 from featreg.stacks.initial import initial_of, initials, with_one_more
 from featreg.stacks.pairs import planned
+from featreg.stacks.run import _dates_with
 
 JOB: Any = {"model": "rigid", "workers": 1}
 
@@ -147,7 +148,7 @@ def test_what_would_count_for_no_pair_or_for_all_is_refused() -> None:
             featreg.register_stack([np.eye(64)] * 3, **given)
 
 
-def test_a_stack_with_models_known_beforehand(tmp_path: Path) -> None:
+def test_a_stack_with_models_known_beforehand(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Shifts beyond what a small radius finds by itself; the table of what was known goes through the file."""
     series = sar_series(4, (200, 200), looks=4, seed=2)
     known = [Affine(truth) for truth in series.truths]
@@ -167,6 +168,10 @@ def test_a_stack_with_models_known_beforehand(tmp_path: Path) -> None:
     longer = again.add(series.images[3], initial=known[3], date="20230206", workers=1)
     assert longer.status == ["ok"] * 4
     assert longer.provenance["dates"] == ["2023-01-01", "2023-01-13", "2023-01-25", "2023-02-06"]
+    # Days are known of all images or count for none, which is said.
+    assert _dates_with(again, "b_20230206.tif", None) == [*longer.provenance["dates"][:3], date(2023, 2, 6)]
+    assert _dates_with(again, series.images[3], None) is None
+    assert "the day of the new image is not known" in caplog.text
     model = longer.models[3]
     assert model is not None
     assert np.abs(model([[100.0, 100.0]]) - known[3]([[100.0, 100.0]])).max() < 0.5

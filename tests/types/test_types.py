@@ -209,6 +209,10 @@ def test_features_are_checked_where_they_are_made() -> None:
         {"norm": "hamming"},  # float descriptors
         {"descriptors": np.zeros((4, 8), np.float32)},
         {"descriptors": np.zeros((5, 8), np.float64)},
+        {"descriptors": [[0.0] * 8] * 5},
+        {"xy": "here"},
+        {"scale": [[1], [2, 3]]},
+        {"level": np.nan},
         {"index": np.arange(4)},
     ):
         fields = {name: getattr(good, name) for name in good.__dataclass_fields__} | change
@@ -288,6 +292,10 @@ def test_matches_are_checked_where_they_are_made() -> None:
         Matches(a, a + np.inf, np.ones(4))
     with pytest.raises(InputError, match="score"):
         Matches(a, a, np.ones(3))
+    with pytest.raises(InputError, match=r"Matches\.covariance must be an array of float64"):
+        Matches(a, a, np.ones(4), covariance="wide")
+    with pytest.raises(InputError, match=r"Matches\.origin must be an array of int64"):
+        Matches(a, a, np.ones(4), origin=np.nan)
 
 
 def test_appended_matches_keep_what_is_known() -> None:
