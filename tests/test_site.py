@@ -76,6 +76,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
+@pytest.mark.xdist_group("site")
 def test_every_link_leads_somewhere_and_nothing_is_loaded_from_elsewhere(site: Path) -> None:
     pages = {path: Page(path) for path in site.rglob("*.html") if path.name != "404.html"}
     assert len(pages) > 35
@@ -97,6 +98,7 @@ def test_every_link_leads_somewhere_and_nothing_is_loaded_from_elsewhere(site: P
 
 
 @pytest.mark.slow
+@pytest.mark.xdist_group("site")
 def test_the_menu_names_every_page_and_every_part(site: Path) -> None:
     menu = (DOCS / "site" / "mkdocs.yml").read_text(encoding="utf-8").partition("nav:")[2]
     shown = (site / "index.html").read_text(encoding="utf-8").partition('data-md-level="0"')[2]
@@ -111,6 +113,7 @@ def test_the_menu_names_every_page_and_every_part(site: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.xdist_group("site")
 def test_every_public_name_has_its_words_and_every_schema_is_there(site: Path) -> None:
     pages = "".join(path.read_text(encoding="utf-8") for path in (site / "reference").glob("*.html"))
     anchors = set(re.findall(r'id="(featreg\.[\w.]+)"', pages))
@@ -121,12 +124,14 @@ def test_every_public_name_has_its_words_and_every_schema_is_there(site: Path) -
 
 
 @pytest.mark.slow
+@pytest.mark.xdist_group("site")
 def test_pictures_are_small_and_the_whole_fits_a_mail(site: Path) -> None:
     assert max(path.stat().st_size for path in (site / "notebooks").glob("*.webp")) <= 200_000
     assert sum(path.stat().st_size for path in site.rglob("*") if path.is_file()) < 12_000_000
 
 
 @pytest.mark.slow
+@pytest.mark.xdist_group("site")
 def test_the_search_works_from_the_disk(site: Path, chromium: Any) -> None:
     page = chromium.new_context(viewport={"width": 1280, "height": 900}).new_page()
     wanted: list[str] = []
