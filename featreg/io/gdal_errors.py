@@ -17,6 +17,8 @@ GDAL_OPTIONS = {
     "GDAL_ERROR_ON_LIBJPEG_WARNING": "YES",
     "GDAL_VRT_ENABLE_PYTHON": "NO",
 }
+#: GDAL's folders of addresses (/vsicurl, /vsis3 and their like) open only names that end so, which none does.
+NO_NETWORK = {"CPL_VSIL_CURL_ALLOWED_EXTENSIONS": ".no-address-in-a-file"}
 
 
 #: What libraries say where a codec is not built into them.

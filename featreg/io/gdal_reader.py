@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from featreg.errors import InputError
 from featreg.io.bands import COLOURS, luminance
 from featreg.io.calibration import Calibration
-from featreg.io.gdal_drivers import BY_NAME
-from featreg.io.gdal_errors import GDAL_OPTIONS, decoding, quiet, reason
+from featreg.io.gdal_drivers import BY_NAME, driver_by_content
+from featreg.io.gdal_errors import GDAL_OPTIONS, NO_NETWORK, decoding, quiet, reason
 from featreg.io.nodata import holds_nodata
 from featreg.io.plausible import ANY_BYTES, check_size, sample_bytes
 from featreg.io.products.sentinel1_tops import TopsTerms
@@ -38,6 +38,8 @@ WAVELET_BYTES = 16 << 20
 SMALLEST_STEP = 1e-100
 #: The name of a member of an archive, as it is given to GDAL here.
 ARCHIVE = re.compile(r"/vsizip/\{(.+?)\}/.*", re.DOTALL)
+#: What stands before the name of a file of overviews that lies beside its image.
+BESIDE = ":::BASE:::"
 
 logger = logging.getLogger("featreg.io")
 
@@ -64,8 +66,16 @@ class GdalReader:
         self.called = called
         first = BY_NAME.get(drivers[0])
         self.title = first.title if first is not None and len(drivers) == 1 else ""
-        with quiet(), rasterio.Env(**GDAL_OPTIONS, GDAL_CACHEMAX=CACHE_BYTES), decoding(called, self.title or "image"):
+        # An address that the user typed is looked up, one that stands in a file is not.
+        typed = "/vsi" in name.removeprefix("/vsizip/{")
+        self._options = {**GDAL_OPTIONS, "GDAL_CACHEMAX": CACHE_BYTES, **({} if typed else NO_NETWORK)}
+        with quiet(), rasterio.Env(**self._options), decoding(called, self.title or "image"):
             self.dataset: Any = DatasetReader(name, driver=list(drivers))
+            try:
+                _check_overviews(self.dataset, called)
+            except BaseException:
+                self.dataset.close()
+                raise
         self.driver: str = self.dataset.driver
         self.title = self.title or (BY_NAME[self.driver].title if self.driver in BY_NAME else self.driver)
         self.whole = (self.driver in BY_NAME and BY_NAME[self.driver].whole) or self._tall()
@@ -119,7 +129,9 @@ class GdalReader:
     @property
     def reached(self) -> Sequence[str]:
         """Names of all files that the image is made of, also those in archives and elsewhere."""
-        with decoding(self.called, self.title), quiet():
+        import rasterio
+
+        with decoding(self.called, self.title), quiet(), rasterio.Env(**self._options):
             return list(self.dataset.files)
 
     def geolocation(self, band: int) -> Geolocation | None:
@@ -138,7 +150,7 @@ class GdalReader:
 
         box = None if window is None else RasterioWindow(window.x, window.y, window.width, window.height)
         known, dataset, nodata = self.bands[band], self.dataset, self.bands[band].nodata
-        with quiet(), rasterio.Env(**GDAL_OPTIONS, GDAL_CACHEMAX=CACHE_BYTES), decoding(self.called, self.title):
+        with quiet(), rasterio.Env(**self._options), decoding(self.called, self.title):
             self._check_block(band)
             samples = dataset.read(band + 1, window=box)
             mask = self._shown(band + 1, box)
@@ -215,6 +227,28 @@ class GdalReader:
             opaque = dataset.read(dataset.colorinterp.index(ColorInterp.alpha) + 1, window=box) != 0
             mask = opaque if mask is None else mask & opaque
         return mask
+
+
+def _check_overviews(dataset: Any, called: str) -> None:
+    """Raise where overviews lie elsewhere, or are none.
+
+    GDAL opens them with whatever driver likes them as soon as it is asked for the files of an image: a virtual raster
+    among them leads to any file or address.
+    """
+    said = dataset.tags(ns="OVERVIEWS").get("OVERVIEW_FILE", "")
+    beside = said.removeprefix(BESIDE)
+    if said and (beside == said or Path(beside).name != beside):
+        raise InputError(f"{called}: names overviews elsewhere ('{said[:80]}'), which is refused; remove that entry")
+    path = Path(dataset.name)
+    for file in [path.with_name(path.name + ".ovr"), path.with_name(path.name + ".OVR")] + (
+        [path.with_name(beside)] if beside else []
+    ):
+        if not file.is_file():
+            continue
+        with file.open("rb") as opened:
+            driver = driver_by_content(opened.read(64))
+        if driver is None or driver.name not in ("GTiff", "HFA"):
+            raise InputError(f"{file}: is not a file of overviews as its name says, which is refused; remove it")
 
 
 def within_folder(path: Path, reader: GdalReader) -> GdalReader:

@@ -246,9 +246,13 @@ def open_safe(tree: Tree, manifest: str) -> Reader:
     try:
         for file in present:
             driver = "JP2OpenJPEG" if file.lower().endswith(".jp2") else "GTiff"
-            opened.append(
-                (measurement_name(file), GdalReader(tree.gdal_name(file), [driver], f"{tree.called}: {file}"))
-            )
+            reader = GdalReader(tree.gdal_name(file), [driver], f"{tree.called}: {file}")
+            # A mask beside a measurement may be a virtual raster.
+            if isinstance(tree, FolderTree):
+                reader = within_folder(tree.folder / manifest, reader)
+            else:
+                reader = within_archive(tree.called, reader)
+            opened.append((measurement_name(file), reader))
     except BaseException:
         for _, reader in opened:
             reader.close()

@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 
 from featreg.errors import InputError
 from featreg.io.gdal_drivers import TOLD_BY_GDAL, driver_by_content
-from featreg.io.gdal_reader import GdalReader
+from featreg.io.gdal_reader import GdalReader, within_folder
 from featreg.io.xml_text import DoctypeError, root_of
 
 #: Bytes of the largest description, files it may name, virtual rasters that may rest on each other.
@@ -166,7 +166,9 @@ def _check_source(path: Path, home: Path, name: str, relative: bool, depth: int,
         return
     driver = driver_by_content(head)
     # GDAL opens a source with whatever driver likes it, also those that read from the network.
-    GdalReader(str(source.absolute()), [driver.name] if driver else TOLD_BY_GDAL, f"{path}: its source {name}").close()
+    reader = GdalReader(str(source.absolute()), [driver.name] if driver else TOLD_BY_GDAL, f"{path}: its source {name}")
+    # A header among the sources can name any file, too.
+    within_folder(home / path.name, reader).close()
 
 
 def _head(source: Path) -> bytes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -486,6 +487,17 @@ def test_a_product_that_names_files_outside_is_refused(tmp_path: Path) -> None:
     manifest = root / "manifest.safe"
     manifest.write_text('<X><fileLocation href="measurement/../../x.tiff"/></X>')
     with pytest.raises(InputError, match="outside the product"):
+        as_image(root)
+    shutil.copy(tmp_path / "x.tiff", root / "measurement" / "y.tiff")
+    manifest.write_text('<X><fileLocation href="measurement/y.tiff"/></X>')
+    assert as_image(root).shape == AMPLITUDE.shape
+    # The mask beside a measurement is opened with it.
+    (root / "measurement" / "y.tiff.msk").write_text(
+        f'<VRTDataset rasterXSize="{AMPLITUDE.shape[1]}" rasterYSize="{AMPLITUDE.shape[0]}"><VRTRasterBand band="1" '
+        f'dataType="Byte"><SimpleSource><SourceFilename>{tmp_path / "x.tiff"}</SourceFilename></SimpleSource>'
+        "</VRTRasterBand></VRTDataset>"
+    )
+    with pytest.raises(InputError, match="reaches outside its folder"):
         as_image(root)
     manifest.write_text('<X><fileLocation href="measurement/gone.tiff"/></X>')
     with pytest.raises(InputError, match=r"names 1 measurements, and none is there, such as 'measurement/gone.tiff'"):

@@ -160,3 +160,60 @@ def test_tall_blocks_of_jpeg_2000_are_decoded_once(tmp_path: Path) -> None:
         reader = open_reader(path)
         assert reader.whole
         np.testing.assert_array_equal(reader.read(0).samples, tall)
+
+
+@pytest.mark.parametrize("inside", [True, False])
+@pytest.mark.parametrize(
+    "said", ["http://127.0.0.1:9/a.tif", "/vsicurl/http://127.0.0.1:9/a.tif", ":::BASE:::../a.tif"]
+)
+def test_overviews_elsewhere_are_refused_before_anyone_looks_for_them(tmp_path: Path, said: str, inside: bool) -> None:
+    path = write(tmp_path / "a.tif", BYTES)
+    if inside:
+        with rasterio.open(path, "r+") as dataset:
+            dataset.update_tags(ns="OVERVIEWS", OVERVIEW_FILE=said)
+    else:
+        entry = f'<Metadata domain="OVERVIEWS"><MDI key="OVERVIEW_FILE">{said}</MDI></Metadata>'
+        Path(f"{path}.aux.xml").write_text(f"<PAMDataset>{entry}</PAMDataset>")
+    with pytest.raises(InputError, match="names overviews elsewhere"):
+        as_image(path)
+
+
+def virtual(source: str, relative: int = 0) -> str:
+    named = f'<SourceFilename relativeToVRT="{relative}">{source}</SourceFilename><SourceBand>1</SourceBand>'
+    band = f'<VRTRasterBand dataType="Byte" band="1"><SimpleSource>{named}</SimpleSource></VRTRasterBand>'
+    return f'<VRTDataset rasterXSize="{W}" rasterYSize="{H}">{band}</VRTDataset>'
+
+
+def test_a_virtual_raster_is_no_file_of_overviews(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.tif", BYTES)
+    Path(f"{path}.ovr").write_text(virtual("http://127.0.0.1:9/a.tif"))
+    with pytest.raises(InputError, match=r"a\.tif\.ovr: is not a file of overviews"):
+        as_image(path)
+
+
+def test_overviews_beside_an_image_change_nothing(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.tif", BYTES)
+    with rasterio.Env(TIFF_USE_OVR=True), rasterio.open(path, "r+") as dataset:
+        dataset.build_overviews([2])
+    assert Path(f"{path}.ovr").is_file()
+    np.testing.assert_array_equal(as_image(path).pixels, BYTES)
+
+
+def test_a_header_among_the_sources_of_a_virtual_raster_names_no_file_elsewhere(tmp_path: Path) -> None:
+    home = tmp_path / "home"
+    home.mkdir()
+    (tmp_path / "secret.raw").write_bytes(BYTES.tobytes())
+    size = f"NrOfLines = {H}\nNrOfCellsPerLine = {W}\nNrOfBands = 1\n"
+    for name in ("../secret.raw", "known.raw"):
+        (home / "known.raw").write_bytes(BYTES.tobytes())
+        (home / "a.ers").write_text(
+            f'DatasetHeader Begin\nVersion = "6.0"\nDataFile = "{name}"\nDataSetType = ERStorage\nDataType = Raster\n'
+            f"ByteOrder = LSBFirst\nRasterInfo Begin\nCellType = Unsigned8BitInteger\n{size}RasterInfo End\n"
+            "DatasetHeader End\n"
+        )
+        (home / "a.vrt").write_text(virtual("a.ers", 1))
+        if name == "known.raw":
+            np.testing.assert_array_equal(as_image(home / "a.vrt").pixels, BYTES)
+        else:
+            with pytest.raises(InputError, match="reaches outside its folder"):
+                as_image(home / "a.vrt")
