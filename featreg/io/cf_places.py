@@ -99,11 +99,14 @@ def unwritten(dtype: np.dtype[Any]) -> float | None:
     return UNWRITTEN.get(dtype.name)
 
 
-def valid_ends(attributes: Mapping[str, Any], samples: NDArray[Any]) -> tuple[float | None, float | None]:
+def valid_ends(
+    attributes: Mapping[str, Any], samples: NDArray[Any], turn: float = 0.0
+) -> tuple[float | None, float | None]:
     """The least and the greatest sample that `valid_range`, or `valid_min` and `valid_max`, let through.
 
     They are compared with samples as they are stored; fractions beside whole samples are in unpacked units, as the
-    conventions have it for ends of another type than the samples.
+    conventions have it for ends of another type than the samples. `turn` is added to stored ends below 0, where signed
+    numbers stand for unsigned ones.
     """
     low, high = (number_of(attributes.get(f"valid_{end}")) for end in ("min", "max"))
     kinds = [np.asarray(attributes[n]).dtype.kind for n in ("valid_min", "valid_max", "valid_range") if n in attributes]
@@ -115,6 +118,7 @@ def valid_ends(attributes: Mapping[str, Any], samples: NDArray[Any]) -> tuple[fl
         gain, offset = gain or 1.0, offset or 0.0
         low, high = (None if end is None else (end - offset) / gain for end in (low, high))
         return (high, low) if gain < 0 else (low, high)
+    low, high = (end + turn if end is not None and end < 0 else end for end in (low, high))
     return low, high
 
 

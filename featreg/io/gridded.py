@@ -356,9 +356,8 @@ def within_range(
     Besides `_FillValue` these know `missing_value`, one or several, and `valid_min`, `valid_max` or `valid_range`; all
     are compared with the samples as they are stored, before scale and offset; see `valid_ends`.
     """
-    low, high = valid_ends(attributes, samples)
     turn = 256.0**dtype.itemsize if unsigned else 0.0
-    low, high = (end + turn if end is not None and end < 0 else end for end in (low, high))
+    low, high = valid_ends(attributes, samples, turn)
     missing = [value + turn if value < 0 else value for value in numbers_of(attributes.get("missing_value"))]
     if samples.dtype.kind == "c" or (low is None and high is None and not missing):
         return None

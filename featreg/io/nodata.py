@@ -23,7 +23,8 @@ def holds_nodata(samples: NDArray[Any], nodata: complex | None) -> BoolArray | N
     if not isinstance(nodata, Number) or isinstance(nodata, bool):
         raise ParameterError(f"nodata must be one number, got {nodata!r}")
     kind = samples.dtype.kind
-    if np.isnan(nodata) or (kind != "c" and complex(nodata).imag):
+    plain = complex(nodata)
+    if np.isnan(plain) or (kind != "c" and plain.imag):
         return None
     if kind in "iu":
         if not float(nodata.real).is_integer():
@@ -33,7 +34,7 @@ def holds_nodata(samples: NDArray[Any], nodata: complex | None) -> BoolArray | N
         return np.asarray(samples == samples.dtype.type(value)) if limits.min <= value <= limits.max else None
     # In the samples' own precision: a float32 file with nodata 0.1 does not hold the double 0.1.
     with np.errstate(over="ignore"):
-        value = samples.dtype.type(nodata)
-    if kind == "c" and not complex(nodata).imag:
+        value = samples.dtype.type(plain if kind == "c" else plain.real)
+    if kind == "c" and not plain.imag:
         return np.asarray((samples.real == value.real) & ((samples.imag == 0) | (samples.imag == value.real)))
     return np.asarray(samples == value)

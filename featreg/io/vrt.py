@@ -154,7 +154,8 @@ def _check_source(path: Path, home: Path, name: str, relative: bool, depth: int,
     except (OSError, ValueError, RuntimeError) as error:
         raise InputError(f"{path}: names a file that cannot be looked at ({error})") from error
     if not inside:
-        raise InputError(f"{path}: reaches outside its folder ('{name[:80]}'), which is refused; {_cure(path)}")
+        said = " ".join(name.split())[:80]
+        raise InputError(f"{path}: reaches outside its folder ('{said}'), which is refused; {_cure(path)}")
     if not there:
         raise InputError(
             f"{path}: names '{name[:80]}', which is not there; put it into the folder of the virtual raster"

@@ -10,6 +10,7 @@ import pytest
 
 from featreg.io import as_image
 from featreg.io.cf_places import factor_of, turns, valid_ends
+from featreg.io.gridded import within_range
 
 H, W = 20, 30
 SAMPLES = np.random.default_rng(1).gamma(2, 30, (H, W)).astype(np.float32)
@@ -141,3 +142,13 @@ def test_fractions_beside_whole_samples_are_unpacked_ends() -> None:
     assert valid_ends(said | {"scale_factor": -1e-4}, packed) == pytest.approx((-10000, 2000), rel=1e-6)
     assert valid_ends({"valid_range": np.array([0, 9], np.int16), "scale_factor": 0.5}, packed) == (0, 9)
     assert valid_ends({"valid_max": 3.5}, packed) == (None, 3.5)
+
+
+def test_unpacked_ends_below_the_offset_are_no_bytes_above_127() -> None:
+    packed = np.array([[0, 100, 200, 255]], np.uint8)
+    said = {"scale_factor": np.float32(0.1), "add_offset": np.float32(5), "valid_min": np.float32(0)}
+    shown = within_range(packed, said, np.dtype(np.int8), unsigned=True)
+    assert shown is not None and shown.all()
+    # Stored ends of bytes that stand as signed ones: -56 is 200.
+    stored = within_range(packed, {"valid_max": np.int8(-56)}, np.dtype(np.int8), unsigned=True)
+    np.testing.assert_array_equal(stored, [[True, True, True, False]])

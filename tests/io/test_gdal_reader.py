@@ -217,3 +217,10 @@ def test_a_header_among_the_sources_of_a_virtual_raster_names_no_file_elsewhere(
         else:
             with pytest.raises(InputError, match="reaches outside its folder"):
                 as_image(home / "a.vrt")
+
+
+def test_a_virtual_raster_written_out_in_another_is_refused_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "a.vrt").write_text(virtual("\n  &lt;VRTDataset&gt;\n  &lt;/VRTDataset&gt;"))
+    with pytest.raises(InputError, match="reaches outside its folder") as caught:
+        as_image(tmp_path / "a.vrt")
+    assert "\n" not in str(caught.value)

@@ -229,6 +229,12 @@ def test_file_nodata_counts_and_an_explicit_one_overrides(tmp_path: Path) -> Non
 def test_nodata_that_cannot_occur_and_complex_nodata() -> None:
     assert as_image(GRAY, nodata=-9999).all_valid
     assert as_image(GRAY, nodata=0.5).all_valid
+    single = GRAY.astype(np.float32)
+    np.testing.assert_array_equal(as_image(single, nodata=complex(single[0, 0])).mask, single != single[0, 0])
+    largest = np.iinfo(np.int64).max  # no double is this number
+    long = GRAY.astype(np.int64)
+    long[3, 4] = largest
+    assert not as_image(long, nodata=largest).mask[3, 4]
     assert as_image(GRAY, nodata=np.nan).all_valid
     samples = GRAY + 1j * GRAY[::-1]
     samples[0, 0], samples[1, 1], samples[2, 2], samples[3, 3] = 0, -99, -99 - 99j, 5j
