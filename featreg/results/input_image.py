@@ -27,7 +27,8 @@ class InputImage:
     geolocation : where it lies, as its file says it
     band : what was read of a file of several bands; None where it has one only
     calibration : "sigma0", "beta0" or "gamma0" where its samples were calibrated to it when they were read, else None
-    nodata : the value of samples without data that was stated for it; None where the file's own counted
+    nodata : the value of samples without data that was stated for it, NaN where that was none; None where the file's
+        own counted
 
     Raises
     ------
@@ -53,9 +54,10 @@ class InputImage:
         if height < 1 or width < 1:
             raise InputError(f"the shape of an image must be (H, W) of at least 1 x 1, got {tuple(self.shape)}")
         object.__setattr__(self, "shape", (height, width))
-        # What is not finite is no data anyway.
-        plain = None if self.nodata is None or not np.isfinite(self.nodata) else complex(self.nodata)
-        object.__setattr__(self, "nodata", plain if plain is None or plain.imag else plain.real)
+        if self.nodata is not None:
+            # What is not finite is no data anyway, but stated it takes the place of the file's own value.
+            plain = complex(self.nodata) if np.isfinite(self.nodata) else complex(np.nan)
+            object.__setattr__(self, "nodata", plain if plain.imag else plain.real)
 
     @property
     def reading(self) -> dict[str, Any]:
@@ -77,7 +79,7 @@ class InputImage:
             "geolocation": None if place is None else _known(vars(place)),
             "band": self.band,
             "calibration": self.calibration,
-            "nodata": [self.nodata.real, self.nodata.imag] if isinstance(self.nodata, complex) else self.nodata,
+            "nodata": _nodata_written(self.nodata),
         }
         return {"path": self.path, "width": self.shape[1], "height": self.shape[0], **_known(more)}
 
@@ -98,8 +100,20 @@ class InputImage:
             None if place is None else _geolocation(**place),
             None if values.get("band") is None else str(values["band"]),
             values.get("calibration"),
-            complex(*nodata) if isinstance(nodata := values.get("nodata"), list | tuple) else nodata,
+            _nodata_read(values.get("nodata")),
         )
+
+
+def _nodata_written(nodata: complex | None) -> Any:
+    if isinstance(nodata, complex):
+        return [nodata.real, nodata.imag]
+    return "nan" if nodata is not None and np.isnan(nodata) else nodata
+
+
+def _nodata_read(written: Any) -> complex | None:
+    if isinstance(written, list | tuple):
+        return complex(*written)
+    return None if written is None else float(written)
 
 
 def _known(values: Mapping[str, Any]) -> dict[str, Any]:

@@ -99,7 +99,8 @@ def image_words(image: InputImage) -> str:
     height, width = image.shape
     words = [f"{shortened(image.path, 80)}, {width} x {height} px", *([image.scale] if image.scale else [])]
     words += [f"calibrated to {image.calibration}"] if image.calibration else []
-    words += [f"no data where {image.nodata:g}"] if image.nodata is not None else []
+    if image.nodata is not None:
+        words.append("no value stands for no data" if np.isnan(image.nodata) else f"no data where {image.nodata:g}")
     if image.valid_pixels is not None and image.valid_pixels < height * width:
         words.append(f"{100 * image.valid_pixels / (height * width):.1f} % valid")
     if image.pixel_size is not None:

@@ -148,7 +148,8 @@ def test_unpacked_ends_below_the_offset_are_no_bytes_above_127() -> None:
     packed = np.array([[0, 100, 200, 255]], np.uint8)
     said = {"scale_factor": np.float32(0.1), "add_offset": np.float32(5), "valid_min": np.float32(0)}
     shown = within_range(packed, said, np.dtype(np.int8), unsigned=True)
-    assert shown is not None and shown.all()
+    assert shown is not None
+    assert shown.all()
     # Stored ends of bytes that stand as signed ones: -56 is 200.
     stored = within_range(packed, {"valid_max": np.int8(-56)}, np.dtype(np.int8), unsigned=True)
     np.testing.assert_array_equal(stored, [[True, True, True, False]])

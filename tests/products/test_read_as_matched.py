@@ -15,6 +15,7 @@ import featreg
 from featreg.io.raster_source import open_source
 from featreg.pipeline.inputs import input_image
 from featreg.results.input_image import InputImage
+from featreg.results.summary import image_words
 
 rasterio = pytest.importorskip("rasterio")
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
@@ -56,12 +57,25 @@ def test_a_result_keeps_how_its_images_were_read(windows: bool, tmp_path: Path) 
 
 
 def test_values_for_no_data_are_kept_as_json_holds_them() -> None:
-    for given, wanted in ((0, 0.0), (2.5, 2.5), (1 - 2j, 1 - 2j), (np.nan, None), (np.inf, None)):
+    for given, wanted in ((0, 0.0), (2.5, 2.5), (1 - 2j, 1 - 2j), (np.nan, np.nan), (np.inf, np.nan), (None, None)):
         image = InputImage("a", (20, 20), "complex", nodata=given)
-        assert image.nodata == wanted
         again = InputImage.from_dict(json.loads(json.dumps(image.to_dict(), allow_nan=False)))
         assert again is not None
-        assert again.nodata == wanted
+        for one in (image, again):
+            assert one.nodata == wanted or (one.nodata != one.nodata and wanted != wanted)  # NaN equals nothing
+
+
+def test_a_value_of_a_file_that_was_overridden_by_none_stays_so(tmp_path: Path) -> None:
+    path = tmp_path / "a.tif"
+    samples = np.arange(400, dtype=np.float32).reshape(20, 20)
+    with rasterio.open(path, "w", driver="GTiff", dtype="float32", height=20, width=20, count=1, nodata=7) as dataset:
+        dataset.write(samples, 1)
+    assert not featreg.as_image(path).mask[0, 7]
+    known = input_image(featreg.as_image(path, nodata=np.nan))
+    again = InputImage.from_dict(json.loads(json.dumps(known.to_dict(), allow_nan=False)))
+    assert again is not None
+    assert featreg.as_image(path, **again.reading).mask.all()
+    assert "no value stands for no data" in image_words(again)
 
 
 def test_products_of_files_follow(tmp_path: Path) -> None:
