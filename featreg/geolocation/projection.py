@@ -43,6 +43,7 @@ class Projection:
                 check_proj()
                 raise InputError(f"unknown coordinate system {self.crs!r:.80}") from error
         if not same and (why := _unreachable(self.crs)):
+            check_proj()
             raise InputError(f"coordinate system {self.crs!r:.80} does not lead to longitude and latitude ({why:.120})")
         object.__setattr__(self, "_plain", same)
         object.__setattr__(self, "_turn", 2 * math.pi / known.units_factor[1] if geographic else 0.0)

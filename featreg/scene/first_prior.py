@@ -11,6 +11,7 @@ import numpy as np
 
 from featreg.errors import InputError, NoOverlapError
 from featreg.geolocation import Heights, RpcBias, find_overlap, sensor_of
+from featreg.geolocation.projection import check_proj
 from featreg.geometry import Affine
 from featreg.interfaces import FailedFit, Model
 from featreg.io.raster_source import Source, Window
@@ -49,6 +50,7 @@ def first_prior(
         try:
             return from_sensors(reference, secondary, heights)
         except InputError as error:
+            check_proj()
             # A transform without a coordinate system, for example, does not locate an image.
             if asked is not None or not _unlocated(reference, secondary):
                 raise
