@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import fcntl
 import html
 import importlib.util
 import json
@@ -59,10 +60,19 @@ class Page(HTMLParser):
                 (self.links if tag == "a" else self.loaded).append(value)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of the site, its notebooks run."""
-    folder = tmp_path_factory.mktemp("site")
+    """The folder of the site, its notebooks run; several processes that test share the one that is built first."""
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "site"
+    with (folder.parent / "site.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not folder.exists():
+            build(folder)
+    return folder
+
+
+def build(folder: Path) -> None:
     command = [sys.executable, "-m", "mkdocs", "build", "--config-file", str(DOCS / "site" / "mkdocs.yml")]
     done = subprocess.run(
         [*command, "--strict", "--site-dir", str(folder)],
@@ -72,11 +82,9 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
         check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
-    return folder
 
 
 @pytest.mark.slow
-@pytest.mark.xdist_group("site")
 def test_every_link_leads_somewhere_and_nothing_is_loaded_from_elsewhere(site: Path) -> None:
     pages = {path: Page(path) for path in site.rglob("*.html") if path.name != "404.html"}
     assert len(pages) > 35
@@ -98,7 +106,6 @@ def test_every_link_leads_somewhere_and_nothing_is_loaded_from_elsewhere(site: P
 
 
 @pytest.mark.slow
-@pytest.mark.xdist_group("site")
 def test_the_menu_names_every_page_and_every_part(site: Path) -> None:
     menu = (DOCS / "site" / "mkdocs.yml").read_text(encoding="utf-8").partition("nav:")[2]
     shown = (site / "index.html").read_text(encoding="utf-8").partition('data-md-level="0"')[2]
@@ -113,7 +120,6 @@ def test_the_menu_names_every_page_and_every_part(site: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.xdist_group("site")
 def test_every_public_name_has_its_words_and_every_schema_is_there(site: Path) -> None:
     pages = "".join(path.read_text(encoding="utf-8") for path in (site / "reference").glob("*.html"))
     anchors = set(re.findall(r'id="(featreg\.[\w.]+)"', pages))
@@ -124,14 +130,12 @@ def test_every_public_name_has_its_words_and_every_schema_is_there(site: Path) -
 
 
 @pytest.mark.slow
-@pytest.mark.xdist_group("site")
 def test_pictures_are_small_and_the_whole_fits_a_mail(site: Path) -> None:
     assert max(path.stat().st_size for path in (site / "notebooks").glob("*.webp")) <= 200_000
     assert sum(path.stat().st_size for path in site.rglob("*") if path.is_file()) < 12_000_000
 
 
 @pytest.mark.slow
-@pytest.mark.xdist_group("site")
 def test_the_search_works_from_the_disk(site: Path, chromium: Any) -> None:
     page = chromium.new_context(viewport={"width": 1280, "height": 900}).new_page()
     wanted: list[str] = []
