@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Mapping
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,6 +28,7 @@ from featreg.pipeline.keywords import bands_of, of_pipeline
 from featreg.pipeline.pipeline import Pipeline
 from featreg.presets import DEFAULT_METHOD
 from featreg.results.registration import Registration
+from featreg.runtime.buffers import reusing
 from featreg.runtime.cluster import dask_client
 from featreg.runtime.executors import check_executor
 from featreg.runtime.parameters import check_seed
@@ -156,7 +158,9 @@ def match(
     check_calibration(calibrate, scale)
     reading: Any = {"nodata": nodata, "scale": scale, "calibrate": calibrate}
     images: list[Image | None] = [None, None]
-    with cancellable(cancel), collecting() as seconds, stage("read"):
+    # Only whole images that were asked for may be large.
+    memory = reusing if size == 0 else nullcontext
+    with cancellable(cancel), collecting() as seconds, stage("read"), memory():
         for i in range(0 if size else 2):
             images[i] = small_image(given[i], most, mask=masks[i], band=bands[i], **reading)
             if images[i] is None:
@@ -192,7 +196,7 @@ def match(
     if resume is not None:
         logger.warning("the images are matched whole, so nothing is kept in '%s': give block= for blocks", resume)
     focusing: dict[str, Any] = {}
-    with cancellable(cancel), limited_threads(workers if threads is None else threads):
+    with cancellable(cancel), limited_threads(workers if threads is None else threads), memory():
         if focus is not None:
             from featreg.focusing.inputs import focused_inputs
 

@@ -66,6 +66,34 @@ def test_large_arrays_are_not_mapped_anew_each_time() -> None:
     assert after < 0.2 * before
 
 
+@pytest.mark.skipif(buffers._glibc() is None, reason="of glibc's habit")
+def test_inside_reusing_arrays_of_any_size_are_handed_out_again_and_little_stays_afterwards() -> None:
+    code = (
+        "import resource, numpy as np\n"
+        "from featreg.runtime import buffers\n"
+        "def faults():\n"
+        "    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt\n"
+        "    for _ in range(3):\n"
+        # One written page in two megabytes, so that the test is quick whatever the size of a page.
+        "        np.empty(80 << 20, np.uint8)[:: 1 << 21] = 1\n"
+        "    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before\n"
+        "fresh = faults()\n"
+        "with buffers.reusing():\n"
+        "    faults()\n"
+        "    with buffers.reusing():\n"
+        "        inside = faults()\n"
+        "    still = faults()\n"
+        "    held = buffers._glibc().mallinfo2().free\n"
+        "    buffers.MOST_STAYS = 1 << 20\n"
+        "print(fresh, inside, still, faults(), held)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    fresh, inside, still, afterwards, held = (int(count) for count in done.stdout.split())
+    assert max(inside, still) < 0.2 * fresh
+    assert afterwards > 0.5 * fresh
+    assert held >= 80 << 20
+
+
 def test_bytes_are_kept_as_well() -> None:
     with keeping():
         first = scratch_bytes("bytes", (5, 7))
