@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+import posixpath
 import re
+import zipfile
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
@@ -37,7 +39,9 @@ WAVELET_BYTES = 16 << 20
 #: Map units a pixel, below which a geotransform is none.
 SMALLEST_STEP = 1e-100
 #: The name of a member of an archive, as it is given to GDAL here.
-ARCHIVE = re.compile(r"/vsizip/\{(.+?)\}/.*", re.DOTALL)
+ARCHIVE = re.compile(r"/vsizip/\{(.+?)\}/(.*)", re.DOTALL)
+#: Bytes of a file by which its kind is told.
+HEAD = 64
 #: What stands before the name of a file of overviews that lies beside its image.
 BESIDE = ":::BASE:::"
 
@@ -72,7 +76,7 @@ class GdalReader:
         with quiet(), rasterio.Env(**self._options), decoding(called, self.title or "image"):
             self.dataset: Any = DatasetReader(name, driver=list(drivers))
             try:
-                _check_overviews(self.dataset, called)
+                _check_companions(self.dataset, called)
             except BaseException:
                 self.dataset.close()
                 raise
@@ -229,8 +233,8 @@ class GdalReader:
         return mask
 
 
-def _check_overviews(dataset: Any, called: str) -> None:
-    """Raise where overviews lie elsewhere, or are none.
+def _check_companions(dataset: Any, called: str) -> None:
+    """Raise where overviews or a mask beside an image lie elsewhere, or are none.
 
     GDAL opens them with whatever driver likes them as soon as it is asked for the files of an image: a virtual raster
     among them leads to any file or address.
@@ -239,16 +243,34 @@ def _check_overviews(dataset: Any, called: str) -> None:
     beside = said.removeprefix(BESIDE)
     if said and (beside == said or Path(beside).name != beside):
         raise InputError(f"{called}: names overviews elsewhere ('{said[:80]}'), which is refused; remove that entry")
-    path = Path(dataset.name)
-    for file in [path.with_name(path.name + ".ovr"), path.with_name(path.name + ".OVR")] + (
-        [path.with_name(beside)] if beside else []
-    ):
-        if not file.is_file():
-            continue
-        with file.open("rb") as opened:
-            driver = driver_by_content(opened.read(64))
-        if driver is None or driver.name not in ("GTiff", "HFA"):
-            raise InputError(f"{file}: is not a file of overviews as its name says, which is refused; remove it")
+    image = str(dataset.name)
+    overviews = [
+        image + ".ovr",
+        image + ".OVR",
+        *([posixpath.join(posixpath.dirname(image), beside)] if beside else []),
+    ]
+    for kind, names in (("overviews", overviews), ("a mask", [image + ".msk", image + ".MSK"])):
+        for name in names:
+            head = _beginning(name)
+            if head is None:
+                continue
+            driver = driver_by_content(head)
+            if driver is None or driver.name == "VRT" or (kind == "overviews" and driver.name not in ("GTiff", "HFA")):
+                shown = ARCHIVE.sub(r"\1:\2", name)
+                raise InputError(f"{shown}: is not a file of {kind} as its name says, which is refused; remove it")
+
+
+def _beginning(name: str) -> bytes | None:
+    """The first bytes of a file, or of the member of an archive, that may not be there."""
+    inside = ARCHIVE.fullmatch(name)
+    try:
+        if inside is None:
+            with Path(name).open("rb") as file:
+                return file.read(HEAD)
+        with zipfile.ZipFile(inside[1]) as archive, archive.open(inside[2]) as member:
+            return member.read(HEAD)
+    except (OSError, KeyError):
+        return None
 
 
 def within_folder(path: Path, reader: GdalReader) -> GdalReader:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import zipfile
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from featreg.errors import InputError
 from featreg.geolocation import sensor_of
 from featreg.io import as_image
+from featreg.io.gdal_reader import within_archive, within_folder
 from featreg.io.raster_source import Window, open_source
 
 rasterio = pytest.importorskip("rasterio")
@@ -184,10 +186,19 @@ def virtual(source: str, relative: int = 0) -> str:
     return f'<VRTDataset rasterXSize="{W}" rasterYSize="{H}">{band}</VRTDataset>'
 
 
-def test_a_virtual_raster_is_no_file_of_overviews(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("suffix", "kind"), [(".ovr", "overviews"), (".msk", "a mask")])
+@pytest.mark.parametrize("archived", [False, True])
+def test_a_virtual_raster_is_no_file_of_overviews_and_no_mask(
+    tmp_path: Path, suffix: str, kind: str, archived: bool
+) -> None:
     path = write(tmp_path / "a.tif", BYTES)
-    Path(f"{path}.ovr").write_text(virtual("http://127.0.0.1:9/a.tif"))
-    with pytest.raises(InputError, match=r"a\.tif\.ovr: is not a file of overviews"):
+    Path(f"{path}{suffix}").write_text(virtual("http://127.0.0.1:9/a.tif"))
+    if archived:
+        with zipfile.ZipFile(tmp_path / "all.zip", "w") as archive:
+            for name in ("a.tif", f"a.tif{suffix}"):
+                archive.write(tmp_path / name, name)
+        path = tmp_path / "all.zip"
+    with pytest.raises(InputError, match=rf"a\.tif\{suffix}: is not a file of {kind} as its name says"):
         as_image(path)
 
 
@@ -224,3 +235,13 @@ def test_a_virtual_raster_written_out_in_another_is_refused_in_one_line(tmp_path
     with pytest.raises(InputError, match="reaches outside its folder") as caught:
         as_image(tmp_path / "a.vrt")
     assert "\n" not in str(caught.value)
+
+
+def test_a_header_inside_an_archive_leads_nowhere_else() -> None:
+    reader: Any = SimpleNamespace(reached=["/vsizip/{a.zip}/b.pix", "/tmp/secret"], close=lambda: None)
+    with pytest.raises(InputError, match="reaches outside the archive"):
+        within_archive("a.zip", reader)
+    reader.reached = reader.reached[:1]
+    assert within_archive("a.zip", reader) is reader
+    with pytest.raises(InputError, match="reaches outside its folder"):
+        within_folder(Path("a.pix"), reader)
