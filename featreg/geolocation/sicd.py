@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from featreg.errors import InputError
 from featreg.geolocation.sensor import SIGMAS, Sensor, column_of
 from featreg.io.ellipsoid import earth_fixed, geodetic
+from featreg.io.sarkit_metadata import BROKEN, sarkit_module, tree_of
 from featreg.types import FloatArray
 
 #: Metres (three standard errors) by which the geolocation may be off, where the metadata do not say.
@@ -49,15 +50,9 @@ class SicdSensor(Sensor):
     xml: str
 
     def __post_init__(self) -> None:
+        tools = sarkit_module("sicd.projection", "the projection of a SICD")
         try:
-            tools: Any = import_module("sarkit.sicd.projection")
-        except ImportError as error:
-            message = "the projection of a SICD needs sarkit; install it with: pip install 'featreg[sicd]'"
-            raise InputError(message) from error
-        etree: Any = import_module("lxml.etree")
-        try:
-            parser = etree.XMLParser(resolve_entities=False, no_network=True)
-            tree = etree.ElementTree(etree.fromstring(self.xml.encode(), parser))
+            tree = tree_of(self.xml)
             known = tools.MetadataParams.from_xml(tree)
             offsets: Any = None
             if tools.AdjustableParameterOffsets.exists(tree):
@@ -66,7 +61,7 @@ class SicdSensor(Sensor):
             object.__setattr__(self, "_offsets", offsets)
             object.__setattr__(self, "_error", _stated_error(tree))
             at = self.image_to_ground(np.array([self.centre]), known.SCP_HAE)
-        except (etree.XMLSyntaxError, ValueError, TypeError, AttributeError, LookupError, AssertionError) as error:
+        except BROKEN as error:
             raise InputError(
                 f"the metadata of the SICD do not make a projection ({type(error).__name__}: {error})"
             ) from error

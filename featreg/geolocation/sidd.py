@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from featreg.errors import InputError
 from featreg.geolocation.sensor import Sensor, column_of
 from featreg.io.ellipsoid import earth_fixed, geodetic
+from featreg.io.sarkit_metadata import BROKEN, sarkit_module, tree_of
 from featreg.types import FloatArray
 
 #: Metres (three standard errors) by which the geolocation may be off.
@@ -56,15 +57,9 @@ class SiddSensor(Sensor):
     xml: str
 
     def __post_init__(self) -> None:
+        sidd = sarkit_module("sidd", "the projection of a SIDD")
         try:
-            sidd: Any = import_module("sarkit.sidd")
-        except ImportError as error:
-            message = "the projection of a SIDD needs sarkit; install it with: pip install 'featreg[sicd]'"
-            raise InputError(message) from error
-        etree: Any = import_module("lxml.etree")
-        try:
-            parser = etree.XMLParser(resolve_entities=False, no_network=True)
-            tree = etree.ElementTree(etree.fromstring(self.xml.encode(), parser))
+            tree = tree_of(self.xml)
             helper = sidd.XmlHelper(tree)
             rows, cols = (int(n) for n in helper.load("./{*}Measurement/{*}PixelFootprint"))
             kind = str(sidd.get_coordinate_system_type(tree))
@@ -84,16 +79,7 @@ class SiddSensor(Sensor):
             if not known["is_map"]:
                 known["look"] = self._side(middle)
             at = self.image_to_ground(np.array([self.centre]), self.level)
-        except (
-            etree.XMLSyntaxError,
-            ArithmeticError,
-            AssertionError,
-            AttributeError,
-            LookupError,
-            RuntimeError,
-            TypeError,
-            ValueError,
-        ) as error:
+        except BROKEN as error:
             raise InputError(
                 f"the metadata of the SIDD do not make a grid ({type(error).__name__}: {error})"
             ) from error

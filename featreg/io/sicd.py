@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import logging
 import re
-import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from functools import cached_property
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +17,7 @@ from featreg.io.ellipsoid import geodetic
 from featreg.io.gdal_errors import decoding
 from featreg.io.products.sicd import calibration_of_sicd, sensor_of_sicd
 from featreg.io.reader import Band, Raster
+from featreg.io.sarkit_metadata import sarkit_module, silent
 from featreg.io.window import Window
 from featreg.types import FloatArray, Geolocation
 
@@ -57,11 +54,7 @@ class SicdReader:
     whole = False
 
     def __init__(self, path: Path, version: str) -> None:
-        try:
-            self._sicd: Any = import_module("sarkit.sicd")
-        except ImportError as error:
-            message = f"{path}: is a SICD, which needs sarkit; install it with: pip install 'featreg[sicd]'"
-            raise InputError(message) from error
+        self._sicd = sarkit_module("sicd", f"{path}: is a SICD, which")
         known = [name.rpartition(":")[2] for name in self._sicd.VERSION_INFO]
         # A version within one that is listed is read alike: 1.2.0 as 1.2.1.
         if version.split(".")[:2] not in [name.split(".")[:2] for name in known]:
@@ -121,22 +114,6 @@ class SicdReader:
 
     def close(self) -> None:
         self._file.close()
-
-
-@contextmanager
-def silent() -> Iterator[None]:
-    """Keep sarkit and what it rests on from speaking on stderr of files that deviate from the standard."""
-    loggers = [logging.getLogger(name) for name in ("sarkit", "jbpy")]
-    before = [one.level for one in loggers]
-    try:
-        for one in loggers:
-            one.setLevel(logging.CRITICAL)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    finally:
-        for one, level in zip(loggers, before, strict=True):
-            one.setLevel(level)
 
 
 def _samples(raw: NDArray[Any], lookup: FloatArray | None) -> NDArray[np.complex64]:

@@ -15,7 +15,8 @@ from featreg.io.ellipsoid import geodetic
 from featreg.io.gdal_errors import decoding
 from featreg.io.gdal_reader import GdalReader
 from featreg.io.products.sidd import sensor_of_sidd
-from featreg.io.sicd import GRID, silent
+from featreg.io.sarkit_metadata import BROKEN, silent
+from featreg.io.sicd import GRID
 from featreg.types import Geolocation
 
 #: A kind of grid that sarkit, at least to 1.8.1, tilts: it takes the latitude in radians for degrees.
@@ -58,8 +59,9 @@ class SiddReader(GdalReader):
             return None
         shape = self.dataset.height, self.dataset.width
         try:
-            with decoding(self.path, "SIDD"), silent(), self.path.open("rb") as file:
-                tree = sidd.NitfReader(file).metadata.images[0].xmltree
+            with silent():
+                with decoding(self.path, "SIDD"), self.path.open("rb") as file:
+                    tree = sidd.NitfReader(file).metadata.images[0].xmltree
                 stated = tuple(int(n) for n in sidd.XmlHelper(tree).load("./{*}Measurement/{*}PixelFootprint"))
                 if stated != shape:
                     raise ValueError(f"it describes {stated[1]} x {stated[0]} pixels")
@@ -70,22 +72,12 @@ class SiddReader(GdalReader):
                 ground = geodetic(sidd.pixel_to_ecef(tree, pixels))
                 if not np.isfinite(ground).all():
                     raise ValueError("it does not reach the ground")
-        except (
-            InputError,
-            ArithmeticError,
-            AssertionError,
-            AttributeError,
-            LookupError,
-            RuntimeError,
-            TypeError,
-            ValueError,
-        ) as error:
+                sensor = sensor_of_sidd(tree)
+        except (InputError, *BROKEN) as error:
             logger.warning(
                 "%s: the metadata of the SIDD make no projection (%s); it counts as lying where its four corners do",
                 self.called,
                 error,
             )
             return None
-        return Geolocation(
-            crs="EPSG:4326", gcps=np.column_stack([pixels[:, ::-1], ground]), sensor=sensor_of_sidd(tree)
-        )
+        return Geolocation(crs="EPSG:4326", gcps=np.column_stack([pixels[:, ::-1], ground]), sensor=sensor)

@@ -160,16 +160,19 @@ def test_a_side_is_told_from_the_orbit() -> None:
 
 @pytest.fixture
 def product(tmp_path: Path) -> Path:
+    return written(tmp_path / "a.nitf", sicommon(xml("PGD")))
+
+
+def written(path: Path, text: str) -> Path:
     part = {"security": {"clas": "U"}}
     image = np.random.default_rng(0).integers(1, 255, SHAPE, dtype=np.uint8)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        tree = etree.ElementTree(etree.fromstring(sicommon(xml("PGD"))))
+        tree = etree.ElementTree(etree.fromstring(text))
         meta = sidd.NitfMetadata(
             file_header_part={"ostaid": "featreg", **part},
             images=[sidd.NitfProductImageMetadata(xmltree=tree, im_subheader_part=part, de_subheader_part=part)],
         )
-        path = tmp_path / "a.nitf"
         with path.open("wb") as file, sidd.NitfWriter(file, meta) as writer:
             writer.write_image(0, image)
     return path
@@ -200,6 +203,16 @@ def test_without_sarkit_it_lies_where_its_nitf_says(
     assert image.geolocation is None or image.geolocation.sensor is None
     with pytest.raises(InputError, match="needs sarkit"):
         SiddSensor(sicommon(xml("PGD")))
+
+
+@pytest.mark.parametrize("name", ["ARPPoly", "TimeCOAPoly"])
+def test_a_file_that_lacks_something_lies_where_its_nitf_says(
+    name: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = written(tmp_path / "a.nitf", sicommon(xml("PGD")).replace(name, f"{name}2"))
+    image = as_image(path)
+    assert f"make no projection (it has no {name})" in caplog.text
+    assert image.geolocation is None or image.geolocation.sensor is None
 
 
 @pytest.mark.parametrize("name", ["PlaneProjection", "PixelFootprint", "TimeCOAPoly", "ARPPoly", "ProductPlane"])
