@@ -28,7 +28,7 @@ from featreg.io.scales import SCALES
 from featreg.io.source import SampleSource, Source, overview_of, padded, spooled
 from featreg.io.source_names import parse_source
 from featreg.io.window import Window
-from featreg.runtime.digests import digest_bytes
+from featreg.runtime.digests import digest_bytes, digest_value
 from featreg.types import BoolArray, Geolocation, Image
 
 __all__ = [
@@ -45,6 +45,8 @@ __all__ = [
 
 #: Bytes at either end of a file that identify it together with its size and time.
 FINGERPRINT = 1 << 16
+#: Ends of the names of files beside an image that hold none of its samples.
+NOT_READ = (".aux.xml", ".ovr", ".OVR")
 
 
 @dataclass(frozen=True)
@@ -113,12 +115,15 @@ class RasterSource(SampleSource):
         return read_samples(self.path, self.band, window, self.calibrate)
 
     def identity(self) -> dict[str, Any]:
-        """What tells this source from another: size, time and both ends of its files, scale, nodata and band."""
+        """What tells this source from another: size, time and both ends of its files, what they say of their samples
+        and of their place, scale, nodata and band.
+        """
         mask = fingerprint(self.mask) if isinstance(self.mask, str) else self.mask
         more = {} if self.calibrate is None else {"calibrate": self.calibrate}
         return {
             **more,
             **fingerprint(self.path),
+            "says": digest_value([self.head.first, self.head.geolocation]),
             "shape": list(self.shape),
             "scale": self.known_scale,
             "nodata": None if self.nodata is None else str(self.nodata),
@@ -272,14 +277,19 @@ def located_source(source: str | Path, band: BandLike = None) -> RasterSource:
 
 
 def fingerprint(source: str | Path) -> dict[str, Any]:
-    """Return size, modification time and a digest of both ends of a file, of every file of a product or raster."""
+    """Return size, modification time and a digest of both ends of every file of an image, product or raster.
+
+    Files of statistics and overviews (`NOT_READ`) are left out: other programs write them beside an image that they
+    look at, and what they may say of its place is in the image's head.
+    """
     path = parse_source(source).path
     if path is None:
         return {"name": str(source)}
-    if not path.is_dir():
-        return _fingerprint(path)
-    files = files_of(str(source))
-    return {"files": [_fingerprint(Path(file)) for file in files], "name": str(path.absolute())}
+    files = [file for file in files_of(str(source)) if not file.endswith(NOT_READ)]
+    if path.is_dir():
+        return {"files": [_fingerprint(Path(file)) for file in files], "name": str(path.absolute())}
+    more = [_fingerprint(Path(file)) for file in files if Path(file) != path.absolute()]
+    return {**_fingerprint(path), "beside": more} if more else _fingerprint(path)
 
 
 def _fingerprint(path: Path) -> dict[str, Any]:

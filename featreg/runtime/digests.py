@@ -60,7 +60,7 @@ def digest_value(value: Any, parts: Callable[[Any], Any] = lambda value: None) -
 
 def _feed(update: Callable[[bytes], None], value: Any, parts: Callable[[Any], Any]) -> None:
     update(f"<{type(value).__module__}.{type(value).__qualname__}>".encode())
-    if isinstance(value, str | Path) and Path(value).is_file():
+    if isinstance(value, str | Path) and _is_file(value):
         update(f"{Path(value).suffix}{digest_file(value)}".encode())
     elif value is None or isinstance(value, bool | int | float | complex | str | bytes | Path | np.generic):
         update(repr(value).encode())
@@ -80,3 +80,10 @@ def _feed(update: Callable[[bytes], None], value: Any, parts: Callable[[Any], An
         update(f"{value.__module__}.{value.__qualname__}".encode())
     else:
         raise TypeError(f"{type(value)} has no digest")
+
+
+def _is_file(name: str | Path) -> bool:
+    try:
+        return Path(name).is_file()
+    except (OSError, ValueError):  # too long for a name, or with a null byte in it
+        return False

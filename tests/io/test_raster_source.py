@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import pickle
 from collections.abc import Callable
@@ -299,3 +300,31 @@ def test_what_lies_beside_a_file_is_seen_when_it_changes(tmp_path: Path) -> None
     np.testing.assert_array_equal(bare.read(whole).pixels, samples)
     (tmp_path / "b.hdr").write_text(header.format("M"))
     np.testing.assert_array_equal(bare.read(whole).pixels, samples.byteswap())
+
+
+def test_what_lies_beside_a_scene_tells_it_from_another(tmp_path: Path) -> None:
+    import rasterio
+
+    array = amplitude(0)
+    path = write(tmp_path / "a.tif", array)
+    seen = [open_source(path).identity()]
+    # What another program writes when it looks at an image changes nothing.
+    pam = '<PAMDataset><PAMRasterBand band="1">{}</PAMRasterBand></PAMDataset>'
+    Path(f"{path}.aux.xml").write_text(pam.format('<Metadata><MDI key="STATISTICS_MEAN">7</MDI></Metadata>'))
+    assert open_source(path).identity() == seen[0]
+    Path(f"{path}.aux.xml").write_text(pam.format("<NoDataValue>9</NoDataValue>"))
+    seen.append(open_source(path).identity())
+    (tmp_path / "a.tfw").write_text("10\n0\n0\n-10\n500000\n4200000\n")
+    seen.append(open_source(path).identity())
+    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=False), rasterio.open(path, "r+") as dataset:
+        dataset.write_mask(array > 0)
+    seen.append(open_source(path).identity())
+    assert all(one != other for one, other in itertools.combinations(seen, 2))
+    (tmp_path / "v.vrt").write_text(
+        f'<VRTDataset rasterXSize="{SHAPE[1]}" rasterYSize="{SHAPE[0]}"><VRTRasterBand dataType="Float32" band="1">'
+        '<SimpleSource><SourceFilename relativeToVRT="1">a.tif</SourceFilename><SourceBand>1</SourceBand>'
+        "</SimpleSource></VRTRasterBand></VRTDataset>"
+    )
+    before = open_source(tmp_path / "v.vrt").identity()
+    write(tmp_path / "b.tif", amplitude(5)).replace(path)
+    assert open_source(tmp_path / "v.vrt").identity() != before

@@ -69,3 +69,8 @@ def test_what_has_no_certain_content_has_no_digest() -> None:
         with pytest.raises(TypeError, match="has no digest"):
             digest_value(value)
     assert digest_value(Odd(), lambda value: {"odd": 1}) != digest_value({"odd": 1})
+
+
+def test_texts_that_can_be_no_name_of_a_file() -> None:
+    for text in ("x" * 5000, "a\0b"):
+        assert digest_value(text) != digest_value(text + "c")
