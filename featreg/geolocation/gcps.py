@@ -18,6 +18,8 @@ from featreg.types import FloatArray, read_only
 LEAST_PX = 5.0
 #: Heights must spread by this many metres (standard deviation) before their effect on the position is estimated.
 HILLY_M = 5.0
+#: Points at most from which the degrees of the polynomials are told.
+DEGREE_POINTS = 1000
 STEPS = 12
 FOUND_PX = 1e-9
 
@@ -118,21 +120,25 @@ class _Surface:
         counts = [len(np.unique(np.round(xy[:, axis], 3))) for axis in (0, 1)]
         degrees = (0, 1, 2, 3) if heights.std() > HILLY_M else (0,)
         best = (np.inf, 1, 1, 0)
+        # The degrees are told from a part of very many points; every nth of a grid might be one of its columns.
+        some = np.random.default_rng(0).permutation(len(xy))[:DEGREE_POINTS]
         for m, n, k in product(range(1, min(10, counts[0] - 1) + 1), range(1, min(5, counts[1] - 1) + 1), degrees):
-            error = _left_out(_design(unit, heights - level, m, n, k), ground)
+            error = _left_out(_design(unit[some], heights[some] - level, m, n, k), ground[some])
             # A more complicated surface must be clearly better.
             if error < 0.9 * best[0]:
                 best = (error, m, n, k)
-        _, m, n, k = best
+        error, m, n, k = best
         # Four corners leave no point to spare: least squares of the fewest terms.
-        solution = np.linalg.lstsq(_design(unit, heights - level, m, n, k), ground)[0]
+        design = _design(unit, heights - level, m, n, k)
+        solution = np.linalg.lstsq(design, ground)[0]
         count = (m + 1) * (n + 1)
         flat = solution[:count].reshape(m + 1, n + 1, 2)
         tall = solution[count:].reshape(k + 1, 2, 2) if k else None
         made = cls(centre, half, origin, flat, tall, level, 0.0)
         jacobian = made.jacobian(centre[None], np.array([level]))[0]
-        error = best[0] * float(np.linalg.norm(np.linalg.inv(jacobian), 2)) if np.isfinite(best[0]) else 0.0
-        object.__setattr__(made, "error_px", error)
+        error = _left_out(design, ground) if len(some) < len(xy) else error
+        error_px = error * float(np.linalg.norm(np.linalg.inv(jacobian), 2)) if np.isfinite(error) else 0.0
+        object.__setattr__(made, "error_px", error_px)
         return made
 
     def ground(self, xy: FloatArray, heights: FloatArray) -> FloatArray:

@@ -56,6 +56,17 @@ class TestGcpSensor:
         assert np.abs(sensor.ground_to_image(ground, 300.0) - xy).max() < 0.05
         assert sensor.uncertainty_px >= 5.0
 
+    def test_very_many_points_are_all_used(self, wide: RangeDoppler) -> None:
+        xy = np.random.default_rng(4).uniform(0, [25_000, 16_500], (5000, 2))
+        ground = wide.image_to_ground(xy, 300.0)
+        noisy = GcpSensor(
+            np.column_stack([xy, ground + np.random.default_rng(5).normal(0, 1e-4, (5000, 2)), xy[:, 0] * 0])
+        )
+        at = xy[:500] * [0.9, 0.9] + [1000, 700]
+        error = np.linalg.norm(noisy.image_to_ground(at, 0.0) - wide.image_to_ground(at, 300.0), axis=1)
+        # At most 66 coefficients share the noise of 5000 points; of 1000 points alone they would be off twice as far.
+        assert np.sqrt((error**2).mean()) < 1.4e-4 * np.sqrt(66 / 5000)
+
     def test_four_corners_make_an_affine_map(self) -> None:
         corners = np.array([[0.0, 0, 10, 50, 0], [99, 0, 10.1, 50, 0], [0, 99, 10, 49.9, 0], [99, 99, 10.1, 49.9, 0]])
         sensor = GcpSensor(corners)
