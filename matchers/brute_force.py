@@ -127,7 +127,8 @@ def _euclidean(a: NDArray[Any], b: NDArray[Any], ratio: bool) -> Neighbours:
     a, b = a - centre, b - centre
     n, m = len(a), len(b)
     left = np.column_stack([a, np.einsum("ij,ij->i", a, a), np.ones(n, np.float32)])
-    right = np.column_stack([-2 * b, np.ones(m, np.float32), np.einsum("ij,ij->i", b, b)]).T
+    # Rows one after the other: each block of the product would otherwise turn them anew.
+    right = np.ascontiguousarray(np.column_stack([-2 * b, np.ones(m, np.float32), np.einsum("ij,ij->i", b, b)]).T)
     forward, backward = np.zeros(n, np.int64), np.full(m, -1, np.int64)
     best, column = np.empty(n, np.int32), np.full(m, np.iinfo(np.int32).max, np.int32)
     second = np.full(n, np.inf, np.float32)

@@ -283,6 +283,18 @@ def test_the_scale_follows_the_layer(sar_texture: Texture) -> None:
     assert (steps != 0).any()
 
 
+@pytest.mark.parametrize(("n_features", "thin", "step"), [(300, True, 2), (300, False, 1), (2000, True, 1)])
+def test_every_other_scale_does_where_there_are_pixels_enough(
+    sar_texture: Texture, n_features: int, thin: bool, step: int
+) -> None:
+    """With 53 pixels for each of 300 keypoints; the scales that are left lie where they would anyway."""
+    picture = as_image(sar_texture(126, 126))
+    found = detect(picture, n_features=n_features, thin=thin, scales=4, support=6.0)
+    np.testing.assert_array_equal(np.unique(found.level), np.arange(0, 4, step))
+    around = 6.0 * 2 ** (found.level / 3)
+    assert (np.abs(np.log2(found.scale / around)) <= step / 6 + 1e-9).all()
+
+
 def test_gain_moves_nothing(sar_texture: Texture) -> None:
     first, second = (detect(as_image(sar_texture() * np.float32(gain))) for gain in (1, 1024))
     np.testing.assert_allclose(first.xy, second.xy, atol=1e-3)

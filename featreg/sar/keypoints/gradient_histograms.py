@@ -60,11 +60,15 @@ def dominant_orientation(field: GradientField, xy: FloatArray, radius: FloatArra
     Lowe's histogram of 36 directions weighted by magnitude, smoothed, its highest peak refined by a parabola. Secondary
     peaks are those of `further_orientations`.
     """
-    from featreg.sar.keypoints import histogram_kernels
+    from featreg.sar.keypoints import direction_kernels
 
-    histograms = _pooled(field, xy, radius, np.zeros(len(xy)), _disc(step), ORIENTATIONS)
-    angle = np.empty(len(xy))
-    histogram_kernels.peak_direction(histograms, angle)
+    height, width = field.x.shape
+    gx, gy = (np.ascontiguousarray(part).ravel() for part in (field.x, field.y))
+    xy, radius = (np.ascontiguousarray(values, np.float64) for values in (xy, radius))
+    pattern, angle = _disc(step), np.empty(len(xy))
+    direction_kernels.directions(
+        gx, gy, width, height, _along_rows(xy, width), xy, radius, pattern.samples, pattern.weight, ORIENTATIONS, angle
+    )
     return angle
 
 
@@ -186,6 +190,11 @@ class _Pattern:
         room = ((0, 0), (0, 4 - cell.shape[1]))
         return np.pad(cell, room), np.pad(share, room)
 
+    @cached_property
+    def weight(self) -> F32:
+        """(S,) the share of each sample in the first cell."""
+        return np.ascontiguousarray(self.shares[self.piece, 0])
+
 
 def _pooled(
     field: GradientField, xy: FloatArray, radius: FloatArray, angle: FloatArray, pattern: _Pattern, bins: int
@@ -213,13 +222,17 @@ def _harmonics(
     out = np.empty((len(xy), 1 + 2 * count, pattern.shares.shape[1]), np.float32)
     xy, radius, angle = (np.ascontiguousarray(values, np.float64) for values in (xy, radius, angle))
     cell, share = pattern.nearest
-    # Along the rows of the field, so that neighbours read what is in the cache.
-    order = np.argsort(np.floor(xy[:, 1] / BAND) * width + xy[:, 0], kind="stable")
+    order = _along_rows(xy, width)
     histogram_kernels.harmonics(gx, gy, width, height, order, xy, radius, angle, pattern.samples, cell, share, out)
     k = np.arange(count + 1)
     weight = np.sinc(k / DIRECTIONS) ** 2 * np.sqrt(np.where(k > 0, 2, 1) / DIRECTIONS)
     out *= np.repeat(weight, 2)[1:, None].astype(np.float32)
     return out.reshape(len(xy), out.shape[1] * out.shape[2])
+
+
+def _along_rows(xy: FloatArray, width: int) -> I64:
+    """The order of points (N, 2) along the rows of a field, so that neighbours read what is in the cache."""
+    return np.argsort(np.floor(xy[:, 1] / BAND) * width + xy[:, 0], kind="stable")
 
 
 @lru_cache(maxsize=16)

@@ -1,4 +1,4 @@
-"""Compiled loops of gradient histograms: samples around keypoints, and the peak of an orientation histogram."""
+"""Compiled loops of gradient histograms: samples around keypoints, shared out to cells and directions."""
 
 from __future__ import annotations
 
@@ -209,29 +209,3 @@ def harmonics(
             for row in range(rows):
                 for n in range(cells):
                     out[point, row, n] = sums[n, row * lanes + i]
-
-
-@compiled
-def peak_direction(histograms: F32, angle: F64) -> None:
-    """Angle of the peak of each smoothed circular histogram, by a parabola through its three highest values.
-
-    Smoothed by (1, 4, 6, 4, 1) / 16, after Lowe; an empty histogram gives 0.
-    """
-    bins = histograms.shape[1]
-    smooth = np.empty(bins)
-    for i in range(histograms.shape[0]):
-        row = histograms[i]
-        best = 0
-        for b in range(bins):
-            near = row[(b + 1) % bins] + row[(b + bins - 1) % bins]
-            far = row[(b + 2) % bins] + row[(b + bins - 2) % bins]
-            smooth[b] = 6.0 * row[b] + 4.0 * near + far
-            if smooth[b] > smooth[best]:
-                best = b
-        if smooth[best] <= 0.0:
-            angle[i] = 0.0
-            continue
-        before, after = smooth[(best + bins - 1) % bins], smooth[(best + 1) % bins]
-        curve = before - 2.0 * smooth[best] + after
-        offset = 0.5 * (before - after) / curve if curve < 0.0 else 0.0
-        angle[i] = (best + offset) * 2.0 * np.pi / bins
