@@ -102,7 +102,7 @@ def changed(kernel: Any, path: Path) -> Any:
 
 def test_a_changed_source_and_a_damaged_file_are_left_to_numba(tmp_path: Path) -> None:
     in_place(corner_kernels)
-    kernel: Any = corner_kernels.score_of_rank  # of no other kernel, whose file would be another
+    kernel: Any = corner_kernels.in_order  # of no other kernel, whose file would be another
     entry = precompiled.current(kernel)[0]
     source, content = kernel.path.read_bytes(), precompiled.file_of(kernel.path).read_bytes()
     for number, (text, kept, serves) in enumerate(
@@ -124,7 +124,7 @@ def test_a_changed_source_and_a_damaged_file_are_left_to_numba(tmp_path: Path) -
 
 def test_what_another_translator_made_is_left_to_numba(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     in_place(corner_kernels)
-    kernel: Any = corner_kernels.score_of_rank
+    kernel: Any = corner_kernels.in_order
     of_this = precompiled.source_digest(kernel)
     assert [entry["source"] for entry in precompiled.current(kernel)] == [of_this]
     other = tmp_path / "precompiling.py"

@@ -10,6 +10,8 @@ Synthetic Aperture Radar Images", Sensors and Materials 34 (2022) 3138, Eq. 3 to
 from __future__ import annotations
 
 import math
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +22,7 @@ from featreg.sar.speckle import filled_amplitude
 from featreg.types import BoolArray, Image
 
 F32 = NDArray[np.float32]
+U16 = NDArray[np.uint16]
 
 # Added to both means, relative to the image's mean amplitude; keeps the ratio finite, and 1, where both vanish.
 FLOOR = 1e-2
@@ -29,6 +32,13 @@ LEAST_SUPPORT = 0.02
 LEAST_EDGE = 1e-3
 # Pixels from which the quantiles of an edge map are taken.
 SAMPLE = 5_000
+# Steps of a length for one of the natural logarithm: lengths stay below 5.
+STEPS = 8192
+# Rows and columns of the tiles whose sums stay in the cache, and over how many alpha what decays is rounding.
+STRIP, TILE, FADED = 64, 768, 17
+# Means between which the product of two sums of pixels, and of what is added to them, stays a float.
+FEW, MANY = 1e-9, 1e9
+NONE, NO_LENGTHS = np.empty((0, 0), np.float32), np.empty((0, 0), np.uint16)
 
 
 def ratio_gradients(image: Image, alpha: float = 2.0, floor: float = FLOOR) -> tuple[F32, F32]:
@@ -76,18 +86,17 @@ def roewa(
     They are written to `out` (2, H, W) where it is given.
     """
     gx, gy = np.empty((2, *amplitude.shape), np.float32) if out is None else out
-    no_strength = np.empty((0, amplitude.shape[1]), np.float32)
     if mask is None:
-        _means_to_ratios(amplitude, alpha, floor, gx, gy, no_strength)
+        log_ratios(amplitude, alpha, floor, gx, gy)
         gx[:, [0, -1]] = 0
         gy[[0, -1]] = 0
         return gx, gy
     # The weights that exist on either side are the same sums of the mask; their log ratio is taken off.
     valid = mask.astype(np.float32)
     mean = float(np.sum(amplitude * valid, dtype=np.float64)) / max(1, int(np.count_nonzero(mask)))
-    _means_to_ratios((amplitude + np.float32(floor * mean)) * valid, alpha, None, gx, gy, no_strength)
+    log_ratios((amplitude + np.float32(floor * mean)) * valid, alpha, None, gx, gy)
     wx, wy = np.empty((2, *amplitude.shape), np.float32)
-    _means_to_ratios(valid, alpha, None, wx, wy, no_strength)
+    log_ratios(valid, alpha, None, wx, wy)
     limit = -math.log(LEAST_SUPPORT)
     for gradient, weights in ((gx, wx), (gy, wy)):
         gradient -= weights
@@ -95,36 +104,57 @@ def roewa(
     return gx, gy
 
 
-def roewa_strength(amplitude: F32, alpha: float, floor: float = FLOOR, out: F32 | None = None) -> F32:
-    """Return the (H, W) float32 length of `roewa`'s gradient of a plain array, to 1 %, without storing the gradient.
+def roewa_strength(amplitude: F32, alpha: float, floor: float = FLOOR, out: U16 | None = None) -> U16:
+    """Return the (H, W) uint16 length of `roewa`'s gradient of a plain array in steps of 1 / `STEPS`, to 1 %.
 
-    It is written to `out` where that is given.
+    The gradient is not stored. It is written to `out` where that is given.
     """
-    rows = np.empty((2, 1, amplitude.shape[1]), np.float32)
-    strength = np.empty(amplitude.shape, np.float32) if out is None else out
-    _means_to_ratios(amplitude, alpha, floor, rows[0], rows[1], strength)
+    strength = np.empty(amplitude.shape, np.uint16) if out is None else out
+    log_ratios(amplitude, alpha, floor, lengths=strength)
     strength[[0, -1]] = 0
     strength[:, [0, -1]] = 0
     return strength
 
 
-def _means_to_ratios(amplitude: F32, alpha: float, floor: float | None, gx: F32, gy: F32, strength: F32) -> None:
-    """Run the recursions on the amplitude plus `floor` of its mean, which adds that to every mean.
+def log_ratios(
+    amplitude: F32,
+    alpha: float,
+    floor: float | None,
+    gx: F32 = NONE,
+    gy: F32 = NONE,
+    both: F32 = NONE[:, :, None],
+    lengths: U16 = NO_LENGTHS,
+) -> None:
+    """Write the log ratios of the means of the amplitude plus `floor` of its mean, which adds that to every mean.
 
-    The weights that exist on each side, fewer near the border, are known in closed form. Without a floor the sums are
-    compared as they are: the weights are the caller's.
+    They go to that of the last four that has rows; see `ratio_kernels.log_ratios`. The weights that exist on each side,
+    fewer near the border, are known in closed form. Without a floor the sums are compared as they are: the weights are
+    the caller's.
     """
+    import cv2
+
     from featreg.sar.gradients import ratio_kernels
 
-    up = scratch("sums from above", (2, *amplitude.shape))
     image = np.ascontiguousarray(amplitude, np.float32)
-    offset, decay, tiny, share_x, share_y = recursion(image, alpha, floor)
-    ratio_kernels.sums_from_above(image, offset, decay, up)
-    ratio_kernels.log_ratios(up, decay, tiny, share_x, share_y, gx, gy, strength)
+    mean = float(cv2.mean(image)[0])
+    if mean > 0 and not FEW < mean < MANY:
+        gain = 2.0 ** -round(math.log2(mean))
+        image, mean = (image * gain).astype(np.float32), mean * gain
+    constants = _recursion(image.shape, mean, alpha, floor)
+    height, width = image.shape
+    # Beyond so many pixels what decays is rounding.
+    halo = 8 * math.ceil(min(FADED * alpha, max(height, width)) / 8)
+    tile = max(TILE, 4 * halo) if len(lengths) else width
+    rows = max(STRIP, halo)
+    room = (2, min(rows + halo, height) + 1, min(tile + 2 * halo, width))
+    up = scratch("sums from above", room)
+    ratio_kernels.log_ratios(image, *constants, halo, tile, rows, up, gx, gy, both, np.float32(STEPS), lengths)
 
 
-def recursion(image: F32, alpha: float, floor: float | None) -> tuple[np.float32, np.float32, np.float32, F32, F32]:
-    """Return what the kernels ask beside an image (H, W).
+def _recursion(
+    shape: tuple[int, ...], mean: float, alpha: float, floor: float | None
+) -> tuple[np.float32, np.float32, np.float32, F32, F32]:
+    """Return what the kernel asks beside an image (H, W) of that shape and mean.
 
     Returns
     -------
@@ -133,18 +163,13 @@ def recursion(image: F32, alpha: float, floor: float | None) -> tuple[np.float32
     """
     if not (math.isfinite(alpha) and alpha > 0):
         raise ParameterError(f"alpha must be a positive number of pixels, got {alpha}")
-    import cv2
-
     # Beyond this the weights are equal over any image, and in float32 the decay must stay below 1.
     alpha = min(alpha, 1e5)
-    mean = float(cv2.mean(image)[0])
-    share_x, share_y = (
-        np.ones(n, np.float32) if floor is None else _shares(n, alpha) for n in (image.shape[1], image.shape[0])
-    )
+    share_x, share_y = (np.ones(n, np.float32) if floor is None else _shares(n, alpha) for n in (shape[1], shape[0]))
     return (
         np.float32((floor or 0.0) * mean),
         np.float32(math.exp(-1.0 / alpha)),
-        np.float32(max(1e-9 * mean, 1e-30)),
+        np.float32(1e-9 * (mean or 1.0)),
         share_x,
         share_y,
     )
@@ -176,10 +201,13 @@ def quantised_edges(
     """
     import cv2
 
+    strength: NDArray[Any]
     if eq5:
         strength = edge_strength(*ratio_gradients(image, alpha, floor), eq5=True)
+        least = LEAST_EDGE
     else:
-        strength = roewa_strength(filled_amplitude(image), alpha, floor, scratch("edge strength", image.shape))
+        strength = roewa_strength(filled_amplitude(image), alpha, floor)
+        least = LEAST_EDGE * STEPS
     step = max(1, math.isqrt(strength.size // SAMPLE))
     sample = strength[::step, ::step][image.mask[::step, ::step]]
     if not sample.size:
@@ -189,11 +217,12 @@ def quantised_edges(
     top = min(float(ranked[high]), 5 * float(ranked[middle])) or float(ranked[high])
     if not clip:
         top = float(strength[image.mask].max())
-    if not top > LEAST_EDGE:
+    if not top > least:
         return np.zeros(image.shape, np.uint8)
     return np.asarray(cv2.convertScaleAbs(strength, alpha=255.0 / top), np.uint8)
 
 
+@lru_cache(maxsize=64)
 def _shares(count: int, alpha: float) -> F32:
     """Weight of the pixels that exist after each of `count` positions over that of those before it."""
     before = -np.expm1(-np.maximum(np.arange(count), 1) / alpha)

@@ -12,6 +12,8 @@ U8 = NDArray[np.uint8]
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
+#: Rows whose scores are kept at a time.
+BAND = 16
 #: Points whose centroids are computed side by side, and rows of so many numbers, as the compiler is to know them.
 LANES = 64
 ROW, ROW2, ROW3 = np.uint64(LANES), np.uint64(2 * LANES), np.uint64(3 * LANES)
@@ -69,33 +71,22 @@ def _segment_scores(r0: U8, r1: U8, r2: U8, r3: U8, r4: U8, r5: U8, r6: U8, thre
 
 
 @compiled
-def fast_scores(image: U8, threshold: int, first: int, step: int, score: U8) -> None:
-    """Write the FAST-9/16 score of every pixel of rows first, first + step, ... into `score`.
+def fast_scores(image: U8, threshold: int, first: int, score: U8) -> None:
+    """Write the FAST-9/16 scores of the rows of an image from `first` on, as many as `score` has.
 
     The score is the smallest difference along the best arc of nine points of the circle of radius 3, one more than
-    OpenCV's response; it is 0 unless above `threshold`. Rows and columns closer than 3 to the border are left alone.
+    OpenCV's response; it is 0 unless above `threshold`, and closer than 3 to the border. The first and last three
+    columns of `score` are left alone.
     """
     t = np.uint8(threshold)
-    for y in range(max(first, 3), image.shape[0] - 3, step):
+    for k in range(score.shape[0]):
+        y = first + k
+        if y < 3 or y >= image.shape[0] - 3:
+            score[k] = 0
+            continue
         a, b, c, d = image[y - 3], image[y - 2], image[y - 1], image[y]
         e, f, g = image[y + 1], image[y + 2], image[y + 3]
-        _segment_scores(a, b, c, d, e, f, g, t, score[y])
-
-
-@compiled
-def score_of_rank(score: U8, rank: int) -> int:
-    """The score that about `rank` pixels reach, estimated from every eighth row."""
-    counts = np.zeros(256, np.int64)
-    for y in range(3, score.shape[0], 8):
-        row = score[y]
-        for x in range(row.shape[0]):
-            counts[row[x]] += 8
-    reached = 0
-    for s in range(255, 0, -1):
-        reached += counts[s]
-        if reached >= rank:
-            return s
-    return 0
+        _segment_scores(a, b, c, d, e, f, g, t, score[k])
 
 
 @compiled
@@ -111,47 +102,96 @@ def _peaks_of_row(above: U8, here: U8, below: U8, allowed: U8, least: np.uint8, 
 
 
 @compiled
-def collect_maxima(score: U8, allowed: U8, least: int, at: I64, values: U8) -> int:
-    """Gather flat index and score of the maxima from `least` on where `allowed`, in reading order; return how many.
+def collect_corners(image: U8, threshold: int, allowed: U8, wanted: int, at: I64, values: U8) -> int:
+    """Gather the local maxima of the FAST scores where `allowed`, in reading order; return how many.
 
-    Pixels are skipped eight at a time where nothing stands.
+    `at` gets flat indices, `values` the scores. A maximum is left out where as many as are wanted stand before it that
+    are as high. The scores of a few rows at a time are looked at while they are in the cache, and pixels skipped eight
+    at a time where nothing stands.
     """
-    height, width = score.shape
+    height, width = image.shape
+    top, bottom = 0, height
+    while top < height and not allowed[top].any():
+        top += 1
+    while bottom > top and not allowed[bottom - 1].any():
+        bottom -= 1
+    score = np.zeros((BAND + 2, width), np.uint8)
     peaks = np.zeros((width + 7) // 8 * 8, np.uint8)
     eights = peaks.view(np.uint64)
-    count = 0
-    for y in range(1, height - 1):
-        _peaks_of_row(score[y - 1], score[y], score[y + 1], allowed[y], np.uint8(least), peaks[:width])
-        for k in range(eights.shape[0]):
-            left = eights[k]
-            while left != 0 and count < at.shape[0]:
-                byte = lowest_byte(left)
-                left &= ~(np.uint64(0xFF) << (np.uint64(8) * byte))
-                x = 8 * k + np.int64(byte)
-                at[count] = y * width + x
-                values[count] = peaks[x]
-                count += 1
+    found = np.zeros(256, np.int64)
+    # So many maxima are higher than `least` - 1.
+    count, least, above = 0, 1, 0
+    for first in range(max(top, 3), min(bottom, height - 3), BAND):
+        rows = min(BAND, min(bottom, height - 3) - first)
+        fast_scores(image, threshold, first - 1, score[: rows + 2])
+        for k in range(rows):
+            y = first + k
+            _peaks_of_row(score[k], score[k + 1], score[k + 2], allowed[y], np.uint8(least), peaks[:width])
+            for eight in range(eights.shape[0]):
+                left = eights[eight]
+                while left != 0 and count < at.shape[0]:
+                    byte = lowest_byte(left)
+                    left &= ~(np.uint64(0xFF) << (np.uint64(8) * byte))
+                    x = 8 * eight + np.int64(byte)
+                    at[count] = y * width + x
+                    values[count] = peaks[x]
+                    found[peaks[x]] += 1
+                    above += 1
+                    count += 1
+            while above >= wanted and least < 255:
+                above -= found[least]
+                least += 1
     return count
 
 
 @compiled
+def in_order(at: I64, values: U8, width: int, xy: I64, score: U8) -> None:
+    """Write the highest corners, of equal ones the first, to `xy` (N, 2) and `score` (N,)."""
+    place = np.zeros(257, np.int64)
+    for i in range(at.shape[0]):
+        place[values[i]] += 1
+    before = 0
+    for s in range(255, -1, -1):
+        place[s], before = before, before + place[s]
+    for i in range(at.shape[0]):
+        to = place[values[i]]
+        place[values[i]] += 1
+        if to < score.shape[0]:
+            xy[to, 0], xy[to, 1] = at[i] % width, at[i] // width
+            score[to] = values[i]
+
+
+@compiled
 def intensity_centroid(image: F32 | U8, xs: I64, ys: I64, radius: int, stride: int, angle: F64) -> None:
-    """Angle from each point to the intensity centroid of the disc around it, counter-clockwise as seen (y up)."""
+    """Angle from each point to the intensity centroid of the disc around it, counter-clockwise as seen (y up).
+
+    Beyond its border the image goes on as its last pixels.
+    """
     height, width = image.shape
+    steps = radius // stride
+    # How many steps along x each row of the disc has, from the middle to one end.
+    ends = np.zeros(2 * steps + 1, np.int64)
+    for k in range(ends.shape[0]):
+        dy = stride * (k - steps)
+        while (stride * (ends[k] + 1)) ** 2 + dy * dy <= radius * radius:
+            ends[k] += 1
     for i in range(xs.shape[0]):
-        x0 = xs[i]
-        y0 = ys[i]
-        mx = 0.0
-        my = 0.0
-        for dy in range(-(radius // stride) * stride, radius + 1, stride):
-            y = min(max(y0 + dy, 0), height - 1)
-            row = image[y]
-            for dx in range(-(radius // stride) * stride, radius + 1, stride):
-                if dx * dx + dy * dy <= radius * radius:
-                    v = float(row[min(max(x0 + dx, 0), width - 1)])
-                    mx += dx * v
-                    my += dy * v
-        angle[i] = np.arctan2(-my, mx)
+        x0, y0 = xs[i], ys[i]
+        mx, my = 0.0, 0.0
+        inside = x0 >= radius and y0 >= radius and x0 < width - radius and y0 < height - radius
+        for k in range(ends.shape[0]):
+            dy, end = stride * (k - steps), ends[k]
+            row = image[min(max(y0 + dy, 0), height - 1)]
+            total = 0.0
+            for step in range(-end, end + 1):
+                x = x0 + stride * step
+                if not inside:
+                    x = min(max(x, 0), width - 1)
+                v = float(row[np.uint64(x)])
+                mx += step * v
+                total += v
+            my += dy * total
+        angle[i] = np.arctan2(-my, stride * mx)
 
 
 @compiled

@@ -11,14 +11,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from featreg.runtime.buffers import scratch_bytes
 from featreg.sar.pyramid import REACH
 from featreg.types import BoolArray, FloatArray, IntArray
 
 CENTROID_ITERATIONS = 8
 CORNER_ITERATIONS = 3
-# So many pixels of high score are looked at for each corner wanted, before all are.
-RANKS = 10
 
 
 def fast_corners(
@@ -40,21 +37,14 @@ def fast_corners(
     """
     from featreg.sar.keypoints import corner_kernels
 
-    score = scratch_bytes("FAST scores", (image.shape[0], image.shape[1]))
-    # What the kernel leaves alone; of an image without an inside, all of it.
-    for rim in (slice(3), slice(-3, None)):
-        score[rim] = 0
-        score[:, rim] = 0
-    corner_kernels.fast_scores(np.ascontiguousarray(image), threshold, 3, 1, score)
     room = image.size // 4 + 1
     at, values = np.empty(room, np.int64), np.empty(room, np.uint8)
-    least = corner_kernels.score_of_rank(score, RANKS * n_features)
-    count = corner_kernels.collect_maxima(score, allowed.view(np.uint8), least, at, values)
-    if count < n_features and least > 0:
-        count = corner_kernels.collect_maxima(score, allowed.view(np.uint8), 0, at, values)
-    order = np.argsort(255 - values[:count], kind="stable")[:n_features]
-    y, x = np.divmod(at[order], image.shape[1])
-    return np.column_stack([x, y]), values[order]
+    flat = np.ascontiguousarray(image)
+    count = corner_kernels.collect_corners(flat, threshold, allowed.view(np.uint8), n_features, at, values)
+    most = min(count, n_features)
+    xy, score = np.empty((most, 2), np.int64), np.empty(most, np.uint8)
+    corner_kernels.in_order(at[:count], values[:count], image.shape[1], xy, score)
+    return xy, score
 
 
 def orientation(image: NDArray[np.float32] | NDArray[np.uint8], xy: IntArray, radius: int) -> FloatArray:

@@ -14,7 +14,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from featreg.sar.gradients.ratio import FLOOR, LEAST_EDGE, recursion
+from featreg.sar.gradients.ratio import FLOOR, LEAST_EDGE, log_ratios
 from featreg.sar.speckle import filled_amplitude
 from featreg.types import BoolArray, Image
 
@@ -24,8 +24,6 @@ F32 = NDArray[np.float32]
 BLIND = 2.0
 # Pixels from which the median strength of the gradients is taken.
 SAMPLE = 5_000
-# Rows of a strip at least, and how many alpha around one count: beyond 17 of them exp(-17) is less than the rounding.
-STRIP, FADED = 64, 17
 
 
 def orientation_field(image: Image, alpha: float = 3.0) -> F32:
@@ -63,19 +61,15 @@ def field_of(amplitude: F32, alpha: float, mask: BoolArray | None = None) -> F32
 
     from featreg.sar.orientation import field_kernels
 
-    image = np.ascontiguousarray(amplitude, np.float32)
-    constants = recursion(image, alpha, FLOOR)
-    # Beyond so many rows what decays is rounding.
-    halo = 8 * math.ceil(min(FADED * alpha, image.shape[0]) / 8)
-    out = np.empty((*image.shape, 2), np.float32)
-    field_kernels.gradients(image, *constants, max(STRIP, halo), halo, out)
+    out = np.empty((*amplitude.shape, 2), np.float32)
+    log_ratios(amplitude, alpha, FLOOR, both=out)
     out[:, [0, -1], 0] = 0
     out[[0, -1], :, 1] = 0
-    seen = np.ones(image.shape, np.bool_)
+    seen = np.ones(amplitude.shape, np.bool_)
     if mask is not None:
         side = 2 * math.ceil(BLIND * alpha) + 1
         seen = np.asarray(cv2.erode(mask.view(np.uint8), np.ones((side, side), np.uint8))).view(np.bool_)
-    step = max(1, math.isqrt(image.size // SAMPLE))
+    step = max(1, math.isqrt(amplitude.size // SAMPLE))
     strength = np.square(out[::step, ::step]).sum(axis=2)
     some = strength[(strength > 0) & seen[::step, ::step]]
     if not some.size or not float(some.max()) > LEAST_EDGE**2:

@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 
 from featreg.errors import ParameterError
 from featreg.io import as_image
+from featreg.sar.gradients import ratio
 from featreg.sar.gradients.ratio import (
     FLOOR,
     LEAST_SUPPORT,
+    STEPS,
     edge_strength,
     quantised_edges,
     ratio_gradients,
@@ -217,11 +219,11 @@ def test_complex_images_are_used_by_their_amplitude(sar_texture: Texture) -> Non
 def test_strength_is_the_length_of_the_gradient_to_one_percent_at_ratios_below_six(sar_texture: Texture) -> None:
     amplitude = sar_texture(43, 59)
     gx, gy = roewa(amplitude, 2.0)
-    strength = roewa_strength(amplitude, 2.0)
+    strength = roewa_strength(amplitude, 2.0) / np.float32(STEPS)
     length = np.hypot(gx, gy)
     weak = (np.maximum(np.abs(gx), np.abs(gy)) < np.log(6))[1:-1, 1:-1]
     assert weak.mean() > 0.9
-    np.testing.assert_allclose(strength[1:-1, 1:-1][weak], length[1:-1, 1:-1][weak], rtol=0.012, atol=1e-4)
+    np.testing.assert_allclose(strength[1:-1, 1:-1][weak], length[1:-1, 1:-1][weak], rtol=0.012, atol=2 / STEPS)
     assert (strength[1:-1, 1:-1] < 1.02 * length[1:-1, 1:-1] + 1e-4).all()
     assert not strength[[0, -1]].any()
     assert not strength[:, [0, -1]].any()
@@ -271,3 +273,23 @@ def test_an_image_without_content_has_no_edges(pixels: NDArray[np.float64]) -> N
 
 def test_an_image_without_a_valid_pixel_has_no_edges() -> None:
     assert not quantised_edges(image(np.ones((20, 20)), np.zeros((20, 20), np.bool_)), 2.0).any()
+
+
+def test_tiles_and_strips_leave_no_trace(sar_texture: Texture, monkeypatch: pytest.MonkeyPatch) -> None:
+    amplitude = sar_texture(151, 203)
+    amplitude[70, 100] = 1e4
+    whole: list[NDArray[Any]] = [*roewa(amplitude, 2.0), roewa_strength(amplitude, 2.0) / STEPS]
+    monkeypatch.setattr(ratio, "STRIP", 8)
+    monkeypatch.setattr(ratio, "TILE", 8)
+    parts: list[NDArray[Any]] = [*roewa(amplitude, 2.0), roewa_strength(amplitude, 2.0) / STEPS]
+    for one, other in zip(whole, parts, strict=True):
+        np.testing.assert_allclose(other, one, atol=2 / STEPS)
+
+
+@pytest.mark.parametrize("gain", [2.0**-90, 2.0**90])
+def test_very_small_and_very_large_amplitudes_have_the_same_ratios(sar_texture: Texture, gain: float) -> None:
+    amplitude = sar_texture(60, 70)
+    other = (amplitude * gain).astype(np.float32)
+    for found, wanted in zip(roewa(other, 2.0), roewa(amplitude, 2.0), strict=True):
+        np.testing.assert_allclose(found, wanted, atol=1e-5)
+    assert np.abs(roewa_strength(other, 2.0).astype(int) - roewa_strength(amplitude, 2.0)).max() <= 1

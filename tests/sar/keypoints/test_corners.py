@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from featreg.runtime.buffers import keeping, scratch_bytes
 from featreg.sar.keypoints import corner_kernels
 from featreg.sar.keypoints.corners import fast_corners, orientation, refine_centroid, refine_corner
 from featreg.sar.pyramid import share_out
@@ -49,7 +48,7 @@ thresholds = pytest.mark.parametrize("threshold", [0, 1, 10, 40, 120, 254])
 
 def scores(picture: U8, threshold: int) -> U8:
     out = np.zeros(picture.shape, np.uint8)
-    corner_kernels.fast_scores(picture, threshold, 3, 1, out)
+    corner_kernels.fast_scores(picture, threshold, 0, out)
     return out
 
 
@@ -76,12 +75,25 @@ def test_the_score_is_opencvs_response_plus_one(picture: U8, threshold: int) -> 
         assert found[int(k.pt[1]), int(k.pt[0])] == k.response + 1
 
 
-def test_every_other_row_can_be_asked_for() -> None:
+def test_some_rows_can_be_asked_for() -> None:
     picture = random_picture()
-    every, some = scores(picture, 10), np.zeros(picture.shape, np.uint8)
-    corner_kernels.fast_scores(picture, 10, 4, 2, some)
-    np.testing.assert_array_equal(some[4:-3:2], every[4:-3:2])
-    assert not some[3::2].any()
+    some = np.full((9, picture.shape[1]), 7, np.uint8)
+    some[:, :3], some[:, -3:] = 0, 0
+    corner_kernels.fast_scores(picture, 10, 54, some[:7])
+    np.testing.assert_array_equal(some[:7], scores(picture, 10)[54:])
+    assert (some[7:, 3:-3] == 7).all()
+
+
+def test_the_highest_are_the_first_of_all_in_their_order() -> None:
+    picture = cv2.resize(random_picture(), (400, 300))
+    allowed = np.ones(picture.shape, np.bool_)
+    xy, score = fast_corners(picture, 5, allowed, picture.size)
+    order = np.lexsort((xy[:, 1] * picture.shape[1] + xy[:, 0], -score.astype(int)))
+    np.testing.assert_array_equal(order, np.arange(len(xy)))
+    for count in (0, 1, 17, len(xy) // 2, len(xy) - 1):
+        some, their_score = fast_corners(picture, 5, allowed, count)
+        np.testing.assert_array_equal(some, xy[:count])
+        np.testing.assert_array_equal(their_score, score[:count])
 
 
 @pictures
@@ -283,14 +295,3 @@ def test_finer_levels_get_the_larger_shares() -> None:
     shares = share_out(1000, [1000] * 6, 1.5)
     assert shares == sorted(shares, reverse=True)
     assert shares[0] / shares[1] == pytest.approx(1.5, rel=0.02)
-
-
-def test_what_stood_in_kept_memory_has_no_influence() -> None:
-    image = np.random.default_rng(0).integers(0, 256, (40, 50)).astype(np.uint8)
-    allowed = np.ones(image.shape, np.bool_)
-    alone = fast_corners(image, 20, allowed, 100)
-    with keeping():
-        scratch_bytes("FAST scores", (60, 60))[:] = 255
-        again = fast_corners(image, 20, allowed, 100)
-    for one, other in zip(alone, again, strict=True):
-        np.testing.assert_array_equal(one, other)
