@@ -24,6 +24,8 @@ DEFAULT = (
     "featreg.geometry.correlated_kernels",
     "featreg.geometry.reweighting_kernels",
     "featreg.geometry.robust_kernels",
+    "featreg.pipeline.agreement_kernels",
+    "featreg.pipeline.identical_kernels",
     "featreg.sar.keypoints.binary_kernels",
     "featreg.sar.keypoints.corner_kernels",
     "featreg.sar.correlation_kernels",
@@ -68,6 +70,7 @@ def warm_up() -> None:
     focus(complex_[1])
     offsets(*real, window=32)
     _warm_windows(real[0])
+    _warm_agreement(real[0])
     _warm_geometry()
 
 
@@ -80,6 +83,18 @@ def _warm_windows(pixels: Any) -> None:
 
     image, at = as_image(pixels), np.array([[60, 60], [80, 90]])
     aligned_windows(image, np.tile(np.eye(2, 3), (2, 1, 1)), image.shape, at - 16, 32, gaussian(1.0))
+
+
+def _warm_agreement(pixels: Any) -> None:
+    """Compare two images of a size that are judged by coarser samples than the tiny pair."""
+    import numpy as np
+
+    from featreg.geometry import Translation
+    from featreg.io import as_image
+    from featreg.pipeline.agreement import SHORT, Agreement
+
+    image = as_image(np.tile(pixels, (2, 2))[:SHORT, :SHORT])
+    Agreement.of(image, image, Translation(0.0, 0.0))
 
 
 def _warm_geometry() -> None:

@@ -1,6 +1,6 @@
 """Whether the images themselves agree with a model: everywhere, by no second motion, and by no other model as well.
 
-The secondary is resampled by the model onto the reference, both are made four times smaller, and compared: window by
+The secondary is sampled by the model on the reference's grid, a quarter of its size, and both are compared: window by
 window over shifts of up to 24 px, and as a whole over all shifts and half a turn. Nothing here depends on tie points,
 so it sees what filters and refinement have dropped.
 """
@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
+from functools import cached_property, partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,17 +18,23 @@ from numpy.typing import NDArray
 from featreg.geometry import Affine
 from featreg.geometry.robust import irls
 from featreg.interfaces import FailedFit, Model
-from featreg.pipeline.aligned import MOST_SIDE, remapped
 from featreg.runtime.threads import side_by_side
 from featreg.sar.correlation import Peaks, local_correlations, peaks
-from featreg.sar.speckle import despeckled, despeckled_halved
+from featreg.sar.speckle import filled_amplitude, log_amplitude, log_floor
 from featreg.types import BoolArray, FloatArray, Image, IntArray
 
 F32 = NDArray[np.float32]
+U8 = NDArray[np.uint8]
 
 #: The images are compared by samples of 4 px a side, of 2 px where one is shorter than SHORT px, less a Gaussian mean
 #: of SHADING samples.
 STEP, SHORT, SHADING = 4, 240, 3.0
+#: Standard deviation of the Gaussian by which speckle is reduced, px, and most px of the secondary that a sample shows.
+SMOOTHING, WIDEST = 1.0, 12
+#: Between every so many samples along x and y a model is taken as bilinear.
+APART = 8
+#: Farther than any pixel, px; there lies what a model does not know.
+NOWHERE_PX = 1e7
 #: Half of a window, largest shift looked for, in samples, and most windows along each side of the image; they lie at
 #: least half a window apart.
 HALF, SEARCH, SIDE = 8, 6, 12
@@ -48,8 +54,8 @@ LOBE = 4
 MOST_WHOLE = 600
 #: Fewest windows with something to say, and least share of those that both images hold.
 LEAST_WINDOWS, LEAST_SPEAKING = 12, 1 / 3
-#: So near to the edge, px, rounding decides what lies inside.
-EDGE_PX = 1e-6
+#: Structure is looked at around every so many samples.
+EVERY = 2
 #: A window has structure where neighbouring samples correlate by this much; speckle alone has 0.0 to 0.2.
 STRUCTURE = 0.2
 
@@ -145,31 +151,19 @@ class Agreement:
 
         `without` are (H, W) pixels at the same place in both that do not count.
         """
-        import cv2
-
         step = STEP if min(reference.shape) >= SHORT else STEP // 2
         size = (reference.shape[1] // step, reference.shape[0] // step)
-        if min(size) < 2 * (HALF + SEARCH + 1) + 4:
+        if min(size) < 2 * (HALF + SEARCH + 1) + 4 or min(secondary.shape) < 2 * step:
             return None
-        if without is None and reference.all_valid and secondary.all_valid:
-            valid = _inside(model, size, step, secondary.shape)
-        else:
-            usable = [image.mask if without is None else image.mask & ~without for image in (reference, secondary)]
-            covered = cv2.min(_covered(usable[1], model, reference.shape), usable[0].view(np.uint8) * np.uint8(255))
-            valid = smaller(covered, step) == 255
+        nodes, zoom = _mapped(model, size, step)
+        unit = step // 2
+        # Made here, large ones are shared out to threads; within one of two things side by side they would not be.
+        views = side_by_side([partial(_view, reference, unit, 1.0), partial(_view, secondary, unit, zoom)])
+        there, valid = _sampled(secondary, views[1], nodes, zoom, size, step, _usable(reference, without), without)
         if np.count_nonzero(valid) < (2 * HALF + 1) ** 2:
             return None
-        # Of the smoothed secondary every other pixel of the reference's grid is enough.
-        stride = step // 2
-        # Made here, its rows are shared out to threads; within one of two things side by side they would not be.
-        smooth = despeckled(secondary)
-
-        def seen() -> F32:
-            view = sampled(smooth, model, reference.shape, stride)
-            return contrast(smaller(view, step // stride), valid)
-
-        here, there = side_by_side([lambda: contrast(smaller(despeckled_halved(reference), step // 2), valid), seen])
-        return cls(here, there, valid, step)
+        here = np.ascontiguousarray(views[0].pixels[1::2, 1::2][: size[1], : size[0]])
+        return cls(*contrasts(here, there, valid), valid, step)
 
     @cached_property
     def windows(self) -> Windows:
@@ -184,16 +178,18 @@ class Agreement:
         )
         grid = (len(gy), len(gx))
         at = np.stack(np.meshgrid(gx, gy), -1).reshape(-1, 2)
-        correlations = local_correlations(self.here, self.there, at, HALF, SEARCH)
+        correlations = self._correlations(gx, gy, at)
         found = peaks(correlations)
         at_model = np.maximum(correlations[:, SEARCH, SEARCH], -1.0)
-        share = cv2.boxFilter(self.valid.astype(np.float32), -1, (2 * HALF + 1,) * 2, borderType=cv2.BORDER_CONSTANT)
-        inside = share[at[:, 1], at[:, 0]] > 0.9
+        counts = cv2.integral(self.valid.view(np.uint8))
+        (x0, y0), (x1, y1) = (at - HALF).T, (at + HALF + 1).T
+        inside = counts[y1, x1] - counts[y0, x1] - counts[y1, x0] + counts[y0, x0] > 0.9 * (2 * HALF + 1) ** 2
         moved = self.step * found.shift
         speaks = inside & found.sound & (found.height >= FOR)
         far = np.hypot(*moved.T) > FAR_PX
         contradict = speaks & far & (found.height >= AGAINST) & _better(found, at_model)
-        contradict &= _neighbours(moved, contradict, grid) >= 1
+        if contradict.any():
+            contradict &= _neighbours(moved, contradict, grid) >= 1
         xy = (at.astype(np.float64) + 0.5) * self.step - 0.5
         peaked = inside & found.sound & (found.height >= AGAINST)
         return Windows(
@@ -201,19 +197,33 @@ class Agreement:
             (HALF + 0.5) * self.step,
         )  # fmt: skip
 
+    def _correlations(self, gx: IntArray, gy: IntArray, at: IntArray) -> FloatArray:
+        """Those of the windows around (N, 2) points, which are a grid of columns and rows, for every shift."""
+        from featreg.pipeline import agreement_kernels as kernels
+
+        # What lies between windows that are far apart need not be summed.
+        if max(np.diff(gx).max(initial=0), np.diff(gy).max(initial=0)) > 2 * HALF:
+            return local_correlations(self.here, self.there, at, HALF, SEARCH)
+        found = np.empty((len(at), 2 * SEARCH + 1, 2 * SEARCH + 1))
+        kernels.grid_correlations(
+            self.here.ravel(), self.there.ravel(), self.here.shape[1], gx, gy, HALF, SEARCH, found
+        )
+        return found
+
     @cached_property
     def elsewhere(self) -> float | None:
         """Mean correlation at the model of the half of the structured samples around which the images agree least.
 
         Over squares of 36 px. None where less than a tenth of the samples that both images hold has structure.
         """
-        squares = self.here * self.here, self.there * self.there
-        least = (_structure(view, square) for view, square in zip((self.here, self.there), squares, strict=True))
-        structured = self.valid & (np.minimum(*least) >= STRUCTURE)
-        if np.count_nonzero(structured) < 0.1 * np.count_nonzero(self.valid):
+        from featreg.pipeline import agreement_kernels as kernels
+
+        valid = self.valid[::EVERY, ::EVERY]
+        local, structure = np.empty(valid.shape, np.float32), np.empty(valid.shape, np.float32)
+        kernels.likenesses(self.here, self.there, HALF // 2, HALF, EVERY, local, structure)
+        structured = valid & (structure >= STRUCTURE)
+        if np.count_nonzero(structured) < 0.1 * np.count_nonzero(valid):
             return None
-        power = _mean(squares[0], HALF // 2) * _mean(squares[1], HALF // 2)
-        local = _mean(self.here * self.there, HALF // 2) / np.sqrt(np.maximum(power, 1e-20))
         ranked = np.sort(local[structured])
         return float(ranked[: len(ranked) // 2 + 1].mean())
 
@@ -225,6 +235,11 @@ class Agreement:
         -------
         model, other, shift, turned : correlation coefficient at the model, the highest at any other shift, that shift
             (dx, dy) in px, and the highest after half a turn
+
+        Notes
+        -----
+        Shifts by which less than half of an image's side is left in common add to others, by which a quarter to a half
+        is: the sums of either are small.
         """
         import cv2
 
@@ -232,19 +247,99 @@ class Agreement:
         if max(here.shape) > MOST_WHOLE:
             here, there, step, side = smaller(here, 2), smaller(there, 2), 2 * step, side // 2
         # OpenCV's transform takes two thirds of the time of numpy's.
-        shape = tuple(fast_length(2 * n) for n in here.shape)
+        shape = tuple(fast_length(n + n // 2) for n in here.shape)
         a, b = (cv2.dft(_framed(view, shape)) for view in (here, there))
         norm = float(np.sqrt(np.vdot(here, here) * np.vdot(there, there))) + 1e-30
-        straight = cv2.idft(cv2.mulSpectrums(b, a, 0, conjB=True), flags=cv2.DFT_SCALE) / norm
-        turned = float(cv2.idft(cv2.mulSpectrums(a, b, 0), flags=cv2.DFT_SCALE).max()) / norm
-        straight = np.roll(straight, (side, side), (0, 1))
-        lobe = straight[: 2 * side + 1, : 2 * side + 1]
-        model = float(lobe.max())
-        lobe[:] = -1.0
-        row, col = divmod(int(straight.argmax()), straight.shape[1])
-        other = float(straight[row, col])
-        dy, dx = (step * float((i - side + n // 2) % n - n // 2) for i, n in zip((row, col), shape, strict=True))
-        return model, other, (dx, dy), turned
+        straight = cv2.idft(cv2.mulSpectrums(b, a, 0, conjB=True), flags=cv2.DFT_SCALE)
+        turned = cv2.minMaxLoc(cv2.idft(cv2.mulSpectrums(a, b, 0), flags=cv2.DFT_SCALE))[1] / norm
+        model = -math.inf
+        for rows in (slice(0, side + 1), slice(-side, None)):
+            for columns in (slice(0, side + 1), slice(-side, None)):
+                lobe = straight[rows, columns]
+                model = max(model, float(lobe.max()))
+                lobe[:] = -math.inf
+        _, other, _, place = cv2.minMaxLoc(straight)
+        dx, dy = (step * float((i + n // 2) % n - n // 2) for i, n in zip(place, shape[::-1], strict=True))
+        return model / norm, other / norm, (dx, dy), turned
+
+
+class View(NamedTuple):
+    """The logarithm of an image, smoothed; its sample at x * scale + offset is the mean around the pixel x."""
+
+    pixels: F32
+    scale: float
+    offset: float
+
+
+def _view(image: Image, unit: int, zoom: float) -> View:
+    """An image by samples of `unit` px, 1 or 2: the mean over 2 * unit * zoom px, beside what reduces speckle."""
+    import cv2
+
+    from featreg.pipeline import agreement_kernels as kernels
+
+    if unit == 1:
+        logs = log_amplitude(image)
+    else:
+        logs = np.empty((image.shape[0] // 2, image.shape[1] // 2), np.float32)
+        kernels.halved_logarithms(np.ascontiguousarray(filled_amplitude(image)), log_floor(image), logs)
+    wide = max(1, min(round(2 * zoom), WIDEST // unit))
+    reach = math.ceil(2 * SMOOTHING / unit)
+    gaussian = cv2.getGaussianKernel(2 * reach + 1, SMOOTHING / unit).ravel()
+    taps = np.convolve(gaussian, np.full(wide, 1 / wide)).astype(np.float32)
+    # The middle of an even number of taps lies half a sample before that which OpenCV takes.
+    return View(
+        np.asarray(cv2.sepFilter2D(logs, -1, taps, taps), np.float32),
+        1 / unit,
+        0.5 / unit - 0.5 + (0.5 if wide % 2 == 0 else 0.0),
+    )
+
+
+def _mapped(model: Model, size: tuple[int, int], step: int) -> tuple[FloatArray, float]:
+    """Where a model maps the middles of every `APART`-th sample and of one more, (ny, nx, 2) px, and its median zoom.
+
+    Far outside where it does not know.
+    """
+    across, down = ((np.arange(-(-n // APART) + 1) * APART + 0.5) * step - 0.5 for n in size)
+    nodes = model(np.stack(np.meshgrid(across, down), -1).reshape(-1, 2)).reshape(len(down), len(across), 2)
+    nodes = np.where(np.isfinite(nodes), np.clip(nodes, -NOWHERE_PX, NOWHERE_PX), -NOWHERE_PX)
+    along, below = (np.diff(nodes, axis=axis) for axis in (1, 0))
+    area = along[:-1, :, 0] * below[:, :-1, 1] - along[:-1, :, 1] * below[:, :-1, 0]
+    return nodes, math.sqrt(float(np.median(np.abs(area)))) / (APART * step)
+
+
+def _usable(image: Image, without: BoolArray | None) -> U8:
+    """(H, W) 1 for valid pixels but those `without`; of no size where all are."""
+    if without is not None:
+        return np.asarray(image.mask & ~without).view(np.uint8)
+    return np.empty((0, 0), np.uint8) if image.all_valid else image.mask.view(np.uint8)
+
+
+def _sampled(
+    secondary: Image,
+    view: View,
+    nodes: FloatArray,
+    zoom: float,
+    size: tuple[int, int],
+    step: int,
+    first_mask: U8,
+    without: BoolArray | None,
+) -> tuple[F32, BoolArray]:
+    """A view of the secondary at the samples of the reference, and which of these are valid in both."""
+    import cv2
+
+    from featreg.pipeline import agreement_kernels as kernels
+
+    second_mask = _usable(secondary, without)
+    if second_mask.size:
+        reach = max(1, math.ceil(step / 2 * zoom))
+        second_mask = np.asarray(cv2.erode(second_mask, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)), np.uint8)
+    out, valid = np.empty(size[::-1], np.float32), np.empty(size[::-1], np.bool_)
+    tall, wide = view.pixels.shape
+    kernels.sampled(
+        view.pixels.ravel(), tall, wide, view.scale, view.offset, nodes, APART, step, first_mask, second_mask,
+        np.array(secondary.shape), out, valid,
+    )  # fmt: skip
+    return out, valid
 
 
 def smaller(view: NDArray[Any], step: int) -> NDArray[Any]:
@@ -255,36 +350,17 @@ def smaller(view: NDArray[Any], step: int) -> NDArray[Any]:
     return np.asarray(cv2.resize(view[: step * height, : step * width], (width, height), interpolation=cv2.INTER_AREA))
 
 
-def sampled(view: F32, model: Model, shape: tuple[int, int], stride: int) -> F32:
-    """The map `view` of the secondary at the centres of squares of `stride` px of a reference of (H, W).
-
-    Squares that do not fit are left out; the rim of the secondary goes on outside it.
-    """
-    import cv2
-
-    size = (shape[1] // stride, shape[0] // stride)
-    matrix = model.matrix
-    if matrix is not None and np.array_equal(matrix[2], [0, 0, 1]) and max(*size, *view.shape) <= MOST_SIDE:
-        middle = (stride - 1) / 2
-        into = (matrix @ [[stride, 0, middle], [0, stride, middle], [0, 0, 1]])[:2]
-        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        return np.asarray(cv2.warpAffine(view, into, size, flags=flags, borderMode=cv2.BORDER_REPLICATE), np.float32)
-    across, down = (np.arange(n, dtype=np.float64) * stride + (stride - 1) / 2 for n in size)
-    at = model(np.stack(np.meshgrid(across, down), -1).reshape(-1, 2)).reshape(*size[::-1], 2)
-    return np.asarray(remapped(view, at, cv2.INTER_LINEAR, cv2.BORDER_REPLICATE), np.float32)
-
-
-def contrast(view: F32, valid: BoolArray) -> F32:
-    """A map less its local mean over the valid samples; 0 elsewhere."""
+def contrasts(here: F32, there: F32, valid: BoolArray) -> tuple[F32, F32]:
+    """Two maps less their local means over the valid samples; 0 elsewhere."""
     import cv2
 
     if valid.all():
-        return np.asarray(view - cv2.GaussianBlur(view, (0, 0), SHADING), np.float32)
+        first, second = (view - cv2.GaussianBlur(view, (0, 0), SHADING) for view in (here, there))
+        return np.asarray(first, np.float32), np.asarray(second, np.float32)
     weight = valid.astype(np.float32)
-    mean = cv2.GaussianBlur(view * weight, (0, 0), SHADING) / np.maximum(
-        cv2.GaussianBlur(weight, (0, 0), SHADING), 1e-6
-    )
-    return np.asarray((view - mean) * weight, np.float32)
+    per = weight / np.maximum(cv2.GaussianBlur(weight, (0, 0), SHADING), 1e-6)
+    first, second = (view * weight - cv2.GaussianBlur(view * weight, (0, 0), SHADING) * per for view in (here, there))
+    return np.asarray(first, np.float32), np.asarray(second, np.float32)
 
 
 def fast_length(n: int) -> int:
@@ -299,41 +375,11 @@ def fast_length(n: int) -> int:
         n += 1
 
 
-def _inside(model: Model, size: tuple[int, int], step: int, shape: tuple[int, int]) -> BoolArray:
-    """(h, w) samples of `step` px whose corners a model maps into an image of (H, W)."""
-    across, down = (np.arange(n + 1, dtype=np.float64) * step - 0.5 for n in size)
-    if model.matrix is not None and np.array_equal(model.matrix[2], [0, 0, 1]):
-        # An affine map takes a rectangle into another where it takes the corners there.
-        corners = model(np.array([[x, y] for x in across[[0, -1]] for y in down[[0, -1]]]))
-        if ((corners >= -0.5 + EDGE_PX) & (corners <= np.array(shape[::-1]) - 0.5 - EDGE_PX)).all():
-            return np.ones(size[::-1], np.bool_)
-    at = model(np.stack(np.meshgrid(across, down), -1))
-    u, v = at[..., 0], at[..., 1]
-    good: BoolArray = (u >= -0.5) & (u <= shape[1] - 0.5) & (v >= -0.5) & (v <= shape[0] - 0.5)
-    return np.asarray(good[1:, 1:] & good[1:, :-1] & good[:-1, 1:] & good[:-1, :-1])
-
-
 def _framed(view: F32, shape: tuple[int, ...]) -> F32:
     """A map in the upper left corner of a larger one of zeros."""
     out = np.zeros(shape, np.float32)
     out[: view.shape[0], : view.shape[1]] = view
     return out
-
-
-def _covered(mask: BoolArray, model: Model, shape: tuple[int, int]) -> NDArray[np.uint8]:
-    """(H, W) uint8, 255 for the pixels of the reference that the model maps onto valid ones of the secondary."""
-    import cv2
-
-    framed = np.zeros((mask.shape[0] + 2, mask.shape[1] + 2), np.uint8)
-    np.multiply(mask, np.uint8(255), out=framed[1:-1, 1:-1])
-    matrix = model.matrix
-    if matrix is not None and np.array_equal(matrix[2], [0, 0, 1]) and max(*shape, *framed.shape) <= MOST_SIDE:
-        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        into = matrix[:2] + np.array([[0, 0, 1], [0, 0, 1]])
-        return np.asarray(cv2.warpAffine(framed, into, shape[::-1], flags=flags), np.uint8)
-    x, y = np.meshgrid(np.arange(shape[1], dtype=np.float64), np.arange(shape[0], dtype=np.float64))
-    at = (model(np.column_stack([x.ravel(), y.ravel()])) + 1).reshape(*shape, 2)
-    return np.asarray(remapped(framed, at, cv2.INTER_LINEAR, cv2.BORDER_CONSTANT), np.uint8)
 
 
 def _better(found: Peaks, at_model: FloatArray) -> BoolArray:
@@ -355,17 +401,3 @@ def _neighbours(moved: FloatArray, which: BoolArray, grid: tuple[int, int]) -> I
         pad[axis] = (1, 0)
         count += np.pad(alike & first, pad)
     return count.ravel()
-
-
-def _structure(view: F32, square: F32) -> F32:
-    """(h, w) correlation of neighbouring samples in the window around each; `square` is that of the view."""
-    around = np.pad(view, ((0, 1), (0, 1)), mode="wrap")
-    beside = around[:-1, 1:] + around[1:, :-1]
-    return np.asarray(_mean(beside * view, HALF) / np.maximum(2 * _mean(square, HALF), 1e-12), np.float32)
-
-
-def _mean(view: F32, half: int) -> F32:
-    """(h, w) mean over the square of 2 * half + 1 samples around each."""
-    import cv2
-
-    return np.asarray(cv2.blur(view, (2 * half + 1, 2 * half + 1)), np.float32)

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 import featreg
-from featreg.geometry import Affine, Homography, Translation
-from featreg.interfaces import Model
+from featreg.geometry import Affine, Translation
 from featreg.io import as_image
 from featreg.pipeline import identical
 from featreg.pipeline import identical_kernels as kernels
@@ -26,7 +25,6 @@ from featreg.types import Matches
 
 F32 = NDArray[np.float32]
 SIDE = 400
-TURNED_HOMOGRAPHY = Homography(np.array([[0.98, 0.1, 3.3], [-0.1, 1.02, 6.6], [1e-5, 2e-5, 1.0]]))
 
 
 def test_a_label_is_found_among_more_values_than_are_asked(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -405,18 +403,3 @@ def test_structure_tells_how_far_a_model_is_off_where_intensities_cannot_be_comp
         assert gate.passed is passed
         assert gate.high == pytest.approx(3.0 * there[1], rel=0.01)
     assert "structure" not in agreement_gates(draft, a, b, Limits())[0]
-
-
-@pytest.mark.parametrize("model", [Affine(np.array([[0.98, 0.1, 3.3], [-0.1, 1.02, -4.6]])), TURNED_HOMOGRAPHY])
-def test_every_other_pixel_of_a_resampled_view(model: Model) -> None:
-    """At a stride of 1 the whole view; at 2 what lies between its pixels."""
-    from featreg.pipeline.agreement import sampled
-    from featreg.pipeline.aligned import resampled
-
-    rng = np.random.default_rng(0)
-    view: F32 = np.asarray(cv2.GaussianBlur(rng.normal(size=(81, 90)).astype(np.float32), (0, 0), 8.0), np.float32)
-    whole: F32 = resampled(view, model, (71, 84))
-    np.testing.assert_allclose(sampled(view, model, (71, 84), 1), whole, atol=1e-5)
-    corners = [whole[y:70:2, x::2] for y in (0, 1) for x in (0, 1)]
-    between = np.mean(corners, axis=0, dtype=np.float32)
-    np.testing.assert_allclose(sampled(view, model, (71, 84), 2), between, atol=0.02 * float(view.std()))
