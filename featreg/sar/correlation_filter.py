@@ -8,14 +8,13 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from featreg.sar.correlation_filter_kernels import HALF, TERMS
 from featreg.types import BoolArray, FloatArray, IntArray
 
 F32 = NDArray[np.float32]
 
 #: Side of the squares over which spectra are averaged, px, and most of them.
 SIDE, MOST = 32, 100
-#: Half the side of the filter, px, and separable filters that it is a sum of.
-HALF, TERMS = 5, 3
 #: Largest coherence that is believed, squared: what interpolation and 8 bits leave is no signal.
 MOST_COHERENT = 0.95
 
@@ -41,13 +40,11 @@ class CorrelationFilter:
 
     def applied(self, view: F32) -> F32:
         """Return a filtered (H, W) map; beyond its rim it is mirrored."""
-        import cv2
+        from featreg.sar.correlation_filter_kernels import under_filter
 
-        total, part = np.zeros_like(view), np.empty_like(view)
-        for x, y in zip(self.across, self.down, strict=True):
-            cv2.sepFilter2D(view, -1, x, y, part, borderType=cv2.BORDER_REFLECT_101)
-            cv2.add(total, part, total)
-        return total
+        out = np.empty(view.shape, np.float32)
+        under_filter(np.ascontiguousarray(view), *self.taps, out)
+        return out
 
 
 def correlation_filter(first: F32, second: F32, valid: BoolArray | None = None) -> CorrelationFilter | None:
@@ -66,12 +63,17 @@ def correlation_filter(first: F32, second: F32, valid: BoolArray | None = None) 
     if valid is not None and len(corners):
         squares = np.lib.stride_tricks.sliding_window_view(valid, (SIDE, SIDE))
         corners = corners[squares[corners[:, 1], corners[:, 0]].all(axis=(1, 2))]
-    x, y = (corners[:, k, None] + np.arange(SIDE) for k in (0, 1))
-    return filter_of_squares(*(view[y[:, :, None], x[:, None, :]] for view in (first, second)))
+    return _filter_of(first, second, corners)
 
 
 def filter_of_squares(first: F32, second: F32) -> CorrelationFilter | None:
-    """Return the `correlation_filter` of two maps of which (N, SIDE, SIDE) squares are given.
+    """Return the `correlation_filter` of two maps of which (N, SIDE, SIDE) squares are given."""
+    corners = np.column_stack([np.zeros(len(first), np.int64), SIDE * np.arange(len(first))])
+    return _filter_of(first.reshape(-1, SIDE), second.reshape(-1, SIDE), corners)
+
+
+def _filter_of(first: F32, second: F32, corners: IntArray) -> CorrelationFilter | None:
+    """The filter of two maps from their squares at (N, 2) upper left corners.
 
     Notes
     -----
@@ -87,14 +89,10 @@ def filter_of_squares(first: F32, second: F32) -> CorrelationFilter | None:
     .. [1] C. H. Knapp, G. C. Carter, "The generalized correlation method for estimation of time delay", IEEE Trans.
        Acoust. Speech Signal Process. 24(4), 1976, DOI 10.1109/TASSP.1976.1162830
     """
-    if not len(first):
+    if not len(corners):
         return None
-    here, there = (_spectra(squares) for squares in (first, second))
     turns = np.hypot(np.fft.fftfreq(SIDE)[:, None], np.fft.rfftfreq(SIDE)[None]) * SIDE
-    cross, power, other = (
-        _radial(np.einsum("ncxy,ncxy->yx", one, two).astype(np.float64), turns)
-        for one, two in ((here, there), (here, here), (there, there))
-    )
+    cross, power, other = (_radial(part.T.astype(np.float64), turns) for part in _spectra(first, second, corners))
     cross = np.maximum(cross, 0.0)
     product = np.maximum(power * other, np.finfo(np.float64).tiny)
     squared = np.minimum(cross**2 / product, MOST_COHERENT)
@@ -120,30 +118,34 @@ def square_corners(shape: tuple[int, int]) -> IntArray:
     return np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
 
 
-def _spectra(squares: F32) -> F32:
-    """(N, 2, SIDE / 2 + 1, SIDE) real and imaginary parts of the spectra, by x and y, of squares of unit energy.
+def _spectra(first: F32, second: F32, corners: IntArray) -> F32:
+    """(3, SIDE / 2 + 1, SIDE) cross-spectrum (its real part) and power spectra of squares of unit energy, by x and y.
 
-    Of many small squares the transform is quickest as a product of matrices.
+    Of many small squares the transform is quickest as a product of matrices; squares lie by x first, then by y, so that
+    none has to be turned between the two products.
     """
+    from featreg.sar.square_spectra_kernels import summed_spectra, unit_squares
+
     window = np.hanning(SIDE + 2)[1:-1].astype(np.float32)
-    squares = (squares - squares.mean(axis=(1, 2), keepdims=True)) * (window[:, None] * window)
-    energy = np.sqrt((squares**2).sum(axis=(1, 2), keepdims=True))
-    squares = np.divide(squares, energy, out=np.zeros_like(squares), where=energy > 1e-6)
     along, around = _waves()
-    rows = (squares.reshape(-1, SIDE) @ along).reshape(len(squares), SIDE, -1)
-    both = (rows.swapaxes(1, 2).reshape(-1, SIDE) @ around).reshape(len(squares), 2, -1, 2, SIDE)
-    spectra = np.empty((len(squares), 2, SIDE // 2 + 1, SIDE), np.float32)
-    np.subtract(both[:, 0, :, 0], both[:, 1, :, 1], out=spectra[:, 0])
-    np.add(both[:, 0, :, 1], both[:, 1, :, 0], out=spectra[:, 1])
-    return spectra
+    both = []
+    for view in (first, second):
+        squares = np.empty((SIDE, len(corners), SIDE), np.float32)
+        unit_squares(np.ascontiguousarray(view), np.ascontiguousarray(corners), window, squares)
+        rows = along @ squares.reshape(SIDE, -1)
+        both.append((rows.reshape(-1, SIDE) @ around).reshape(2, SIDE // 2 + 1, len(corners), 2 * SIDE))
+    sums = np.empty((3, SIDE // 2 + 1, SIDE), np.float32)
+    summed_spectra(*both, sums)
+    return sums
 
 
 @lru_cache(maxsize=1)
 def _waves() -> tuple[F32, F32]:
-    """Matrices of a real transform along rows and a complex one along columns, real parts beside imaginary ones."""
+    """Matrices of a real transform along x (2 * F, SIDE), real parts first, and of a complex one along y beside it."""
     angle = 2 * np.pi / SIDE * np.arange(SIDE)[:, None] * np.arange(SIDE)
-    waves = np.stack([np.cos(angle), -np.sin(angle)], axis=1).astype(np.float32)
-    return waves[:, :, : SIDE // 2 + 1].reshape(SIDE, -1), waves.reshape(SIDE, -1)
+    cosine, sine = np.cos(angle).astype(np.float32), -np.sin(angle).astype(np.float32)
+    half = SIDE // 2 + 1
+    return np.concatenate([cosine[:half], sine[:half]]), np.concatenate([cosine, sine], axis=1)
 
 
 def _radial(values: FloatArray, turns: FloatArray) -> FloatArray:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import fourier_shift, gaussian_filter
 
 from featreg.sar.correlation import local_correlations, peaks
-from featreg.sar.correlation_filter import HALF, SIDE, CorrelationFilter, _spectra, correlation_filter
+from featreg.sar.correlation_filter import HALF, SIDE, TERMS, CorrelationFilter, _spectra, correlation_filter
 
 F32 = NDArray[np.float32]
 
@@ -114,13 +115,30 @@ def test_nothing_in_common_or_no_room_is_no_filter() -> None:
 
 
 def test_spectra_are_those_of_the_fast_transform() -> None:
-    view = np.random.default_rng(3).normal(size=(80, 90)).astype(np.float32)
+    rng = np.random.default_rng(3)
+    views = rng.normal(size=(2, 80, 90)).astype(np.float32)
+    views[1, :SIDE, 20 : 20 + SIDE] = 3.0  # a square without energy
     window = np.hanning(SIDE + 2)[1:-1]
-    places = [(0, 0), (58, 48)]
-    for corner, found in zip(
-        places, _spectra(np.stack([view[y : y + SIDE, x : x + SIDE] for x, y in places])), strict=True
-    ):
-        square = view[corner[1] :, corner[0] :][:SIDE, :SIDE].astype(np.float64)
-        square = (square - square.mean()) * window[:, None] * window
-        wanted = np.fft.rfft2(square / np.sqrt((square**2).sum()))
-        np.testing.assert_allclose(found[0] + 1j * found[1], wanted.T, atol=1e-5)
+    corners = np.array([[0, 0], [58, 48], [20, 0]])
+    spectra = []
+    for view in views.astype(np.float64):
+        squares = np.stack([view[y : y + SIDE, x : x + SIDE] for x, y in corners])
+        squares = (squares - squares.mean(axis=(1, 2), keepdims=True)) * (window[:, None] * window)
+        energy = np.sqrt((squares**2).sum(axis=(1, 2), keepdims=True))
+        spectra.append(np.fft.rfft2(np.divide(squares, energy, out=np.zeros_like(squares), where=energy > 1e-6)))
+    one, two = spectra
+    wanted = np.stack([(one * two.conj()).real, np.abs(one) ** 2, np.abs(two) ** 2]).sum(axis=1).swapaxes(1, 2)
+    np.testing.assert_allclose(_spectra(*views, corners), wanted, atol=2e-5)
+
+
+@pytest.mark.parametrize("shape", [(150, 300), (64, 128), (3, 7), (1, 140)])
+def test_the_compiled_filter_is_that_of_opencv(shape: tuple[int, int]) -> None:
+    """Tiles, their rims and those of the map, where it is mirrored."""
+    rng = np.random.default_rng(4)
+    view, taps = rng.normal(size=shape).astype(np.float32), rng.normal(size=(2, TERMS, 2 * HALF + 1)).astype(np.float32)
+    across, down = (one + one[:, ::-1] for one in taps)
+    wanted = sum(
+        cv2.sepFilter2D(view, -1, x, y, borderType=cv2.BORDER_REFLECT_101) for x, y in zip(across, down, strict=True)
+    )
+    found = CorrelationFilter(across, down, np.zeros(1)).applied(view)
+    np.testing.assert_allclose(found, wanted, atol=1e-5 * np.abs(wanted).max())
