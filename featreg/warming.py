@@ -75,14 +75,16 @@ def warm_up() -> None:
 
 
 def _warm_windows(pixels: Any) -> None:
-    """Make the views that large images get around points only."""
+    """Make the views that large images get around points only, and correlate few windows."""
     import numpy as np
 
     from featreg.io import as_image
+    from featreg.sar.correlation import local_correlations
     from featreg.sar.windows import aligned_windows, gaussian
 
     image, at = as_image(pixels), np.array([[60, 60], [80, 90]])
     aligned_windows(image, np.tile(np.eye(2, 3), (2, 1, 1)), image.shape, at - 16, 32, gaussian(1.0))
+    local_correlations(pixels, pixels, at, 5, 1)
 
 
 def _warm_agreement(pixels: Any) -> None:

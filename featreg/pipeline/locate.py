@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -13,7 +12,6 @@ from numpy.typing import NDArray
 from featreg.interfaces import Model
 from featreg.pipeline.aligned import (
     WholeWindows,
-    halved,
     inverted,
     linear_parts,
     local_affines,
@@ -23,7 +21,7 @@ from featreg.pipeline.aligned import (
 from featreg.runtime.parameters import Positive, checked
 from featreg.runtime.threads import side_by_side
 from featreg.sar.bridging import on_sample
-from featreg.sar.correlation import local_correlations, peaks_uphill
+from featreg.sar.correlation import peaks_uphill
 from featreg.sar.speckle import despeckled
 from featreg.sar.windows import aligned_windows, as_map, compact, few, gaussian, log_windows, places
 from featreg.types import FloatArray, Image, IntArray, Matches
@@ -32,8 +30,8 @@ F32 = NDArray[np.float32]
 
 #: Matches farther from the consensus than this are wrong by more than a window can tell, px.
 FAR_PX = 12.0
-#: Largest shift at half size, from where it goes uphill.
-COARSE = 1
+#: Apart from each other, px, lie the shifts that are compared first; from the best it goes uphill.
+COARSE = 2
 
 
 @checked("locate")
@@ -53,8 +51,8 @@ class Locate:
     A detector places a keypoint to about a pixel in each image by itself, under speckle; what both images show of its
     surroundings places it against the other image to a few tenths. The secondary's despeckled log-amplitude is
     resampled once by the consensus' model, so that windows need no resampling of their own; each match begins at its
-    own position, not at the model's, and a wrong one stays wrong, or finds no peak and is left out. The search is at
-    half size first and then uphill from there.
+    own position, not at the model's, and a wrong one stays wrong, or finds no peak and is left out. The search is by
+    steps of two pixels first and then uphill from there.
     """
 
     half_width: Annotated[int, Interval(ge=6, le=40)] = 14
@@ -65,7 +63,7 @@ class Locate:
     @property
     def reach(self) -> int:
         """How far from a match pixels are looked at, px."""
-        return self.half_width + max(self.most_moved, 2 * COARSE) + 3
+        return self.half_width + self.most_moved + 3
 
     def run(self, reference: Image, secondary: Image, model: Model, matches: Matches, rows: IntArray) -> Matches:
         """Return those of the matches in `rows` whose windows correlate, at their measured positions.
@@ -80,8 +78,8 @@ class Locate:
         if not len(rows):
             return Matches.empty()
         here, aligned, first, second = self._views(reference, secondary, model, at, offset)
-        start = self._coarse(halved(here), halved(aligned), first, second)
-        peak = peaks_uphill(here, aligned, first, second, start, self.half_width, self.most_moved)
+        start = np.zeros_like(first)
+        peak = peaks_uphill(here, aligned, first, second, start, self.half_width, self.most_moved, COARSE)
         good = peak.sound & (peak.height >= self.least_peak)
         xy = matches.reference_xy[rows]
         there = model(xy + offset + peak.shift)
@@ -96,9 +94,8 @@ class Locate:
 
         Of a large image only the windows around the points are made, one below the other.
         """
-        # As far as pixels are compared, even, so that halving keeps the middle.
-        around = 2 * math.ceil(max(self.half_width + self.most_moved + 2, 2 * (self.half_width // 2 + COARSE + 1)) / 2)
-        side = 2 * around + 2
+        around = self.half_width + self.most_moved + 1
+        side = 2 * around + 1
         if few(len(at), side, reference.shape):
             maps = local_affines(model, (at + offset).astype(np.float64))
             if compact(maps):
@@ -114,15 +111,6 @@ class Locate:
             ]
         )
         return whole[0], whole[1], at, at + offset
-
-    def _coarse(self, first: F32, second: F32, at: IntArray, there: IntArray) -> IntArray:
-        """(N, 2) shifts from given starts that correlate best at half size, px."""
-        half, side = self.half_width // 2, 2 * COARSE + 1
-        inside = half + COARSE + 1
-        near = np.clip(there // 2, inside, np.array(second.shape[::-1]) - inside - 1)
-        best = local_correlations(first, second, at // 2, half, COARSE, near).reshape(len(at), -1).argmax(axis=1)
-        moved = near - at // 2 + np.column_stack([best % side, best // side]) - COARSE
-        return np.asarray(2 * moved - (there - at))
 
     def _starts(
         self, reference: Image, secondary: Image, model: Model, matches: Matches, rows: IntArray

@@ -26,7 +26,7 @@ from featreg.pipeline.aligned import (
 from featreg.runtime.parameters import Positive, checked
 from featreg.runtime.threads import side_by_side
 from featreg.sar.bridging import on_sample
-from featreg.sar.correlation import Peaks, local_correlations, peaks
+from featreg.sar.correlation import Peaks, local_correlations, peaks, peaks_near, peaks_uphill
 from featreg.sar.correlation_filter import (
     SIDE,
     CorrelationFilter,
@@ -43,7 +43,7 @@ F32 = NDArray[np.float32]
 # Points measured in the first pass, and rounds of each robust fit.
 SAMPLE = 1000
 ROUNDS = 6
-# Largest shift that the second pass looks for, px.
+# Largest shift that the second pass looks at, px; a peak lies inside that.
 FINE = 2
 # The filter before the second pass looks about so many pixels beyond a window.
 FILTER_MARGIN = 2
@@ -141,7 +141,7 @@ class Refine:
         if views is None:
             return none
         view, aligned, at = views
-        fine = self._measure(view, aligned, at, self.half, FINE)
+        fine = peaks_near(view, aligned, at, self.half, FINE - 1)
         least = self._height_by_chance(view, aligned, seeds, at)
         final, there_xy, keep = self._fit(kind, first, seeds, fine.shift, fine, least)
         if isinstance(final, FailedFit):
@@ -217,9 +217,8 @@ class Refine:
         apart = (np.abs(some - other) > 2 * self.half + 1).any(axis=1)
         if apart.sum() < LEAST_CHANCE:
             return self.min_correlation
-        found = peaks(
-            local_correlations(first, second, at[apart], self.half, FINE, np.roll(at, len(at) // 2, axis=0)[apart])
-        )
+        there = np.roll(at, len(at) // 2, axis=0)[apart]
+        found = peaks_uphill(first, second, at[apart], there, np.zeros_like(there), self.half, FINE - 1)
         return max(LEAST_HEIGHT, float(np.quantile(found.height, 1 - self.by_chance)))
 
     def _measure(self, first: F32, second: F32, at: IntArray, half: int, search: int) -> Peaks:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +15,12 @@ from featreg.runtime.threads import side_by_side
 from featreg.types import BoolArray, FloatArray, IntArray
 
 F32 = NDArray[np.float32]
+T = TypeVar("T", bound=np.generic)
 
 #: Windows that together cover less than so many times the image are summed one by one.
 FEW = 1.5
+#: Root of the largest whole number of 32 bits.
+MOST_ROOT = 46_340
 #: Pixels of windows from which on threads share out the points, and into how many parts.
 LARGE, PARTS = 1 << 20, 8
 
@@ -98,14 +102,15 @@ def local_correlations(
     return _in_order(found, order)
 
 
-def _in_order(found: FloatArray, order: IntArray) -> FloatArray:
+def _in_order(found: NDArray[T], order: IntArray) -> NDArray[T]:
+    """Rows that were taken in an order, back where they were."""
     back = np.empty_like(found)
     back[order] = found
     return back
 
 
 def peaks_uphill(
-    first: F32, second: F32, xy: IntArray, there: IntArray, start: IntArray, half: int, search: int
+    first: F32, second: F32, xy: IntArray, there: IntArray, start: IntArray, half: int, search: int, apart: int = 1
 ) -> Peaks:
     """Return the peak that is reached uphill from a start, by whole pixels and at last to sub-pixel.
 
@@ -115,27 +120,72 @@ def peaks_uphill(
     there : (N, 2) int64 points of `second` from which shifts count
     start : (N, 2) int64 px, shift (dx, dy) at which to begin
     search : a shift stays within so much along x and y, px. Points of `first` lie at least half + 1 pixels inside,
-        those of `second` at least half + search + 2
+        those of `second` at least half + search + 1
+    apart : px between the nine shifts that are compared first, at most search + 1 less the largest start
 
     Notes
     -----
     Where a start is right to a pixel, nine shifts are compared instead of all within the search.
     """
-    found = np.zeros((len(xy), 3, 3))
-    now, left = np.clip(start, -search, search), np.arange(len(xy))
-    for _ in range(2 * search):
-        some = local_correlations(first, second, xy[left], half, 1, there[left] + now[left])
-        found[left] = some
-        best = some.reshape(-1, 9).argmax(axis=1)
-        step = now[left] + np.column_stack([best % 3 - 1, best // 3 - 1])
-        onward = (best != 4) & (np.abs(step) <= search).all(axis=1)
-        left = left[onward]
-        if not len(left):
-            break
-        now[left] = step[onward]
+    now, nine = _uphill(first, second, xy, there, start, half, search, apart)
     # A point that would leave the search has its peak on the rim of the 3 x 3 shifts, which is not sound.
-    at = peaks(found)
+    at = peaks(nine)
     return Peaks(now + at.shift, at.height, at.curvature, at.sound)
+
+
+def peaks_near(first: F32, second: F32, xy: IntArray, half: int, search: int) -> Peaks:
+    """Return the peak uphill from no shift at all; arguments as in `local_correlations`.
+
+    Notes
+    -----
+    The nine shifts around 0 are compared for all points at once; from there only those go on that have to.
+    """
+    if len(xy) * (2 * half + 1) ** 2 < FEW * first.size:
+        return peaks_uphill(first, second, xy, xy, np.zeros_like(xy), half, search)
+    nine = local_correlations(first, second, xy, half, 1)
+    best = nine.reshape(-1, 9).argmax(axis=1)
+    now = np.zeros_like(xy)
+    left = np.flatnonzero(best != 4)
+    start = np.column_stack([best[left] % 3 - 1, best[left] // 3 - 1])
+    now[left], nine[left] = _uphill(first, second, xy[left], xy[left], start, half, search)
+    at = peaks(nine)
+    return Peaks(now + at.shift, at.height, at.curvature, at.sound)
+
+
+def _uphill(
+    first: F32, second: F32, xy: IntArray, there: IntArray, start: IntArray, half: int, search: int, apart: int = 1
+) -> tuple[IntArray, FloatArray]:
+    """Whole shifts (N, 2) that are reached, and the correlations (N, 3, 3) around them.
+
+    Values are rounded to whole steps, some hundred of them to the standard deviation of a log-amplitude.
+    """
+    from featreg.sar.uphill_kernels import climbed
+
+    # From above, so that the rows that are read stay in the cache.
+    order = np.argsort(xy[:, 1], kind="stable")
+    xs, ys, us, vs = np.ascontiguousarray(np.concatenate([xy[order], there[order]], axis=1).T)
+    now, nine = start[order], np.empty((len(xy), 3, 3))
+    flat_a, flat_b = first.ravel(), second.ravel()
+    steps_a, steps_b = (_steps(flat, 2 * half + 1) for flat in (flat_a, flat_b))
+
+    def part(begin: int, end: int) -> None:
+        some = slice(begin, end)
+        climbed(
+            flat_a, first.shape[1], steps_a, flat_b, second.shape[1], steps_b, xs[some], ys[some], us[some], vs[some],
+            half, search, apart, now[some], nine[some],
+        )  # fmt: skip
+
+    edges = np.linspace(0, len(xy), 1 + (PARTS if len(xy) * (2 * half + 1) ** 2 >= LARGE else 1)).astype(int).tolist()
+    side_by_side([partial(part, *ends) for ends in pairwise(edges)])
+    return _in_order(now, order), _in_order(nine, order)
+
+
+def _steps(values: F32, side: int) -> np.float32:
+    """How many steps of whole numbers make one, so that sums of products over windows of `side` px fit in 32 bits."""
+    import cv2
+
+    low, high, _, _ = cv2.minMaxLoc(values)
+    return np.float32(MOST_ROOT // side / max(high - low, 1e-30))
 
 
 def peaks(correlations: FloatArray) -> Peaks:

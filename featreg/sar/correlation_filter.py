@@ -128,14 +128,15 @@ def _spectra(first: F32, second: F32, corners: IntArray) -> F32:
 
     window = np.hanning(SIDE + 2)[1:-1].astype(np.float32)
     along, around = _waves()
-    both = []
+    both: list[F32] = []
     for view in (first, second):
         squares = np.empty((SIDE, len(corners), SIDE), np.float32)
         unit_squares(np.ascontiguousarray(view), np.ascontiguousarray(corners), window, squares)
         rows = along @ squares.reshape(SIDE, -1)
-        both.append((rows.reshape(-1, SIDE) @ around).reshape(2, SIDE // 2 + 1, len(corners), 2 * SIDE))
+        waves = np.asarray(rows.reshape(-1, SIDE) @ around, np.float32)
+        both.append(waves.reshape(2, SIDE // 2 + 1, len(corners), 2 * SIDE))
     sums = np.empty((3, SIDE // 2 + 1, SIDE), np.float32)
-    summed_spectra(*both, sums)
+    summed_spectra(both[0], both[1], sums)
     return sums
 
 

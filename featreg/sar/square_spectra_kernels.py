@@ -68,7 +68,7 @@ def unit_squares(view: F32, corners: I64, window: F32, out: F32) -> None:
 def _products(
     a_rc: F32, a_rs: F32, a_ic: F32, a_is: F32, b_rc: F32, b_rs: F32, b_ic: F32, b_is: F32, sums: F32
 ) -> None:
-    """Add to `sums` (3, S) the cross-product and both powers of two rows of spectra, of which four parts each are given."""
+    """Add to `sums` (3, S) the cross-product and both powers of two rows of spectra, given in four parts each."""
     cross, power, other = sums[0], sums[1], sums[2]
     for y in range(cross.shape[0]):
         here_re, here_im = a_rc[y] - a_is[y], a_rs[y] + a_ic[y]

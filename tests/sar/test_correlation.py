@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from featreg.errors import ParameterError
 from featreg.runtime.threads import limited_threads
-from featreg.sar.correlation import local_correlations, peaks, quadratic_steps
+from featreg.sar.correlation import local_correlations, peaks, peaks_near, peaks_uphill, quadratic_steps
 
 Texture = Callable[..., NDArray[np.float32]]
 F32 = NDArray[np.float32]
@@ -168,12 +169,80 @@ def test_peaks_equal_the_plain_ones(side: int) -> None:
     np.testing.assert_allclose(found.shift, wanted, rtol=0, atol=1e-10)
 
 
+def climbed_by_rounds(
+    first: F32, second: F32, xy: NDArray[np.int64], there: NDArray[np.int64], half: int, search: int, apart: int
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Whole shifts that are reached uphill, all points a step at a time, and the nine correlations around them."""
+    now, nine = np.zeros_like(xy), np.zeros((len(xy), 3, 3))
+    wide = local_correlations(first, second, xy, half, apart, there)[:, ::apart, ::apart].reshape(-1, 9).argmax(axis=1)
+    if apart > 1:
+        now = apart * (np.column_stack([wide % 3, wide // 3]) - 1)
+    for _ in range(4 * search):
+        nine = local_correlations(first, second, xy, half, 1, there + now)
+        best = nine.reshape(-1, 9).argmax(axis=1)
+        step = now + np.column_stack([best % 3, best // 3]) - 1
+        onward = (np.abs(step) <= search).all(axis=1)
+        now[onward] = step[onward]
+    return now, nine
+
+
+@pytest.mark.parametrize(("half", "search", "apart"), [(7, 3, 1), (14, 3, 2), (24, 2, 1), (36, 5, 2), (5, 1, 1)])
+def test_uphill_is_where_single_steps_lead(half: int, search: int, apart: int) -> None:
+    """Also at the rims of the maps, of which the last window ends where the map does."""
+    first, second = smooth(150, 160), smooth(150, 160, (1.3, -0.7), seed=0)
+    rng = np.random.default_rng(1)
+    rim = half + 2 * search + 3
+    xy = np.column_stack([rng.integers(rim, size - rim, 60) for size in (160, 150)])
+    xy[0] = 160 - rim, 150 - rim
+    there = xy + rng.integers(-search, search + 1, xy.shape) * (np.arange(60) % 2)[:, None]
+    now, nine = climbed_by_rounds(first, second, xy, there, half, search, apart)
+    found = peaks_uphill(first, second, xy, there, np.zeros_like(xy), half, search, apart)
+    wanted = peaks(nine)
+    np.testing.assert_array_equal(found.sound, wanted.sound)
+    np.testing.assert_allclose(found.height, wanted.height, atol=5e-4)
+    np.testing.assert_allclose(found.shift, now + wanted.shift, atol=0.02)
+    assert wanted.sound.mean() > 0.3
+
+
+def test_a_window_at_the_end_of_the_maps_is_read_to_its_end() -> None:
+    first = smooth(60, 70)
+    at = np.array([[70 - 12 - 4, 60 - 12 - 4], [30, 30]])
+    found = peaks_uphill(first, first, at, at, np.zeros_like(at), 12, 2)
+    np.testing.assert_allclose(found.shift, 0, atol=0.05)
+    np.testing.assert_allclose(found.height, 1, atol=1e-12)
+
+
+@pytest.mark.parametrize("value", [0.0, -4.6])
+def test_uphill_a_constant_window_correlates_with_nothing(value: float) -> None:
+    first = smooth(80, 120)
+    first[:, :60] = value
+    at = np.array([[30, 40]])
+    found = peaks_uphill(first, first, at, at, np.zeros_like(at), 12, 2)
+    assert not found.sound.any()
+    assert found.height == 0
+
+
+@pytest.mark.parametrize("few", [0.0, 1e9])
+@pytest.mark.parametrize("shift", [(0.2, -0.3), (1.3, 0.4)])
+def test_peaks_near_are_those_of_all_shifts(few: float, shift: tuple[float, float], monkeypatch: Any) -> None:
+    monkeypatch.setattr("featreg.sar.correlation.FEW", few)
+    first, second = smooth(160, 170), smooth(160, 170, shift)
+    xy = grid_points(first.shape, 30)
+    wanted, found = peaks(local_correlations(first, second, xy, 24, 2)), peaks_near(first, second, xy, 24, 1)
+    assert found.sound.all()
+    np.testing.assert_allclose(found.shift, wanted.shift, atol=5e-3)
+    np.testing.assert_allclose(found.height, wanted.height, atol=5e-4)
+
+
 def test_few_windows_give_the_same_bits_on_any_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(0)
     first, second = rng.normal(size=(2, 120, 130)).astype(np.float32)
     xy = rng.integers(20, 100, (37, 2))
-    whole = local_correlations(first, second, xy, 9, 2, xy + 1)
+    whole, found = local_correlations(first, second, xy, 9, 2, xy + 1), []
     monkeypatch.setattr("featreg.sar.correlation.LARGE", 1)
     for threads in (1, 2, 3):
         with limited_threads(threads):
             np.testing.assert_array_equal(local_correlations(first, second, xy, 9, 2, xy + 1), whole)
+            found.append(peaks_uphill(first, second, xy, xy + 1, np.zeros_like(xy), 9, 2))
+    for other in found[1:]:
+        np.testing.assert_array_equal(other.shift, found[0].shift)
