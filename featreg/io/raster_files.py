@@ -7,9 +7,11 @@ once in each process, and windows are cut from them.
 from __future__ import annotations
 
 import os
+import sys
 import threading
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -42,6 +44,8 @@ FOR_SUFFIX = (
     *(".hdr", ".HDR", ".aux", ".AUX", ".clr", ".CLR", ".prj", ".PRJ", ".wld", ".WLD", ".tab", ".TAB", ".stx", ".STX"),
     *("_RPC.TXT", "_rpc.txt", ".RPB", ".rpb", ".rdc", ".sgrd", ".gri"),
 )
+
+_local = threading.local()
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +82,31 @@ class Head:
 
 def stamp_of(source: str) -> Stamp:
     """Names one version of a file; what is missing is left to the opener, whose message says so."""
+    known: dict[str, Stamp] | None = getattr(_local, "stamps", None)
+    if known is None:
+        return _stamp_of(source)
+    if source not in known:
+        known[source] = _stamp_of(source)
+    return known[source]
+
+
+@contextmanager
+def unchanged() -> Iterator[None]:
+    """Take the files of scenes for unchanged while the block runs, in this thread: each is looked at once in it.
+
+    GDAL's settings are made once as well, where it is in use.
+    """
+    outer = getattr(_local, "stamps", None)
+    _local.stamps = {} if outer is None else outer
+    try:
+        rasterio = sys.modules.get("rasterio")
+        with nullcontext() if rasterio is None else rasterio.Env():
+            yield
+    finally:
+        _local.stamps = outer
+
+
+def _stamp_of(source: str) -> Stamp:
     path = parse_source(source).path
     try:
         known = os.stat(path) if path is not None else None
@@ -148,9 +177,6 @@ def read_samples(source: str, band: BandLike, window: Window, calibrate: str | N
     rows, cols = slice(part.y, part.y + part.height), slice(part.x, part.x + part.width)
     mask = None if raster.mask is None else raster.mask[rows, cols]
     return replace(raster, samples=raster.samples[rows, cols].copy(), mask=mask)
-
-
-_local = threading.local()
 
 
 def _opened(stamp: Stamp) -> Reader:

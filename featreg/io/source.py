@@ -16,7 +16,7 @@ from featreg.io.nodata import holds_nodata
 from featreg.io.reader import Raster, physical
 from featreg.io.scales import complex_pixels, real_pixels
 from featreg.io.window import Window
-from featreg.types import BoolArray, Geolocation, Image, read_only
+from featreg.types import BoolArray, Geolocation, Image, everywhere, read_only
 
 
 class Source(Protocol):
@@ -156,7 +156,7 @@ class SampleSource(ABC):
         else:
             pixels, valid, _ = real_pixels(samples, valid, self.known_scale, self.name, owned=True, content=False)
         if valid is None:
-            valid = np.ones(pixels.shape, np.bool_)
+            valid = everywhere((pixels.shape[0], pixels.shape[1]))
         else:
             pixels[~valid] = 0
         return Image(*padded(pixels, valid, window, self.shape), None, self.name, raster.dtype, self.known_scale)

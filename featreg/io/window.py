@@ -33,6 +33,11 @@ class Window:
         """(H, W)."""
         return self.height, self.width
 
+    @property
+    def size(self) -> int:
+        """Number of pixels."""
+        return self.height * self.width
+
     def grown(self, margin: int) -> Window:
         """The window with `margin` pixels more on every side."""
         return Window(self.x - margin, self.y - margin, self.width + 2 * margin, self.height + 2 * margin)

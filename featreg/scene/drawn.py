@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
+from featreg.io.excerpt import Excerpt, part_of, together
 from featreg.io.raster_source import Source, Window
 from featreg.pipeline.identical import identical_pixels, stands_still, without_identical
 from featreg.types import BoolArray, Image, Matches
 
 
 def without_drawn(
-    reference: Source, secondary: Source, here: Window, there: Window, seen: Image, seen_there: Image
+    reference: Source | Excerpt,
+    secondary: Source | Excerpt,
+    here: Window,
+    there: Window,
+    seen: Image,
+    seen_there: Image,
 ) -> tuple[Image, Image, float | None]:
     """Return both windows of a block without what the scenes share at one place while the image around differs.
 
@@ -29,12 +35,18 @@ def without_drawn(
     Notes
     -----
     What was drawn on a scene has its place in the scene, so that each window is compared with the same window of the
-    other scene. Scenes of two sizes have no common place.
+    other scene; both at once where one window holds both without being much larger. Scenes of two sizes have no common
+    place.
     """
     if reference.shape != secondary.shape:
         return seen, seen_there, None
-    first = identical_pixels(seen, seen_there if here == there else secondary.read(here))
-    second = first if here == there else identical_pixels(reference.read(there), seen_there)
+    around = together(here, there)
+    if around is not None:
+        same = identical_pixels(reference.read(around), secondary.read(around))
+        first, second = (None if same is None else part_of(same, window, around) for window in (here, there))
+    else:
+        first = identical_pixels(seen, secondary.read(here))
+        second = identical_pixels(reference.read(there), seen_there)
     if first is None and second is None:
         return seen, seen_there, None
     if first is not None:

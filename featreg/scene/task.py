@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from featreg.geometry import Affine
 from featreg.geometry.robust import irls
 from featreg.interfaces import FailedFit, Filter, FilterContext, Matcher, Model
+from featreg.io.excerpt import Excerpt, together
+from featreg.io.raster_files import unchanged
 from featreg.io.raster_source import Source, Window
 from featreg.pipeline.feature_matcher import FeatureMatcher
 from featreg.pipeline.frame import Frame, frame_of, linear_at
@@ -120,7 +122,7 @@ def run_block(job: Job, prior: Prior, block: Block) -> BlockResult:
     if job.own_process and cv2.getNumThreads() != 1:
         cv2.setNumThreads(1)
     try:
-        with collecting() as seconds:
+        with collecting() as seconds, unchanged():
             result = _matched(job, prior, block)
         return replace(result, seconds=dict(seconds))
     except Exception as error:
@@ -137,18 +139,21 @@ def _matched(job: Job, prior: Prior, block: Block) -> BlockResult:
         there = proportional_part(here, *job.areas).within(job.secondary.shape)
     if there is None:
         return BlockResult(block.index, "skipped", "outside the secondary")
+    # What is drawn on both scenes is looked for over both windows in both.
+    around = together(here, there) if job.reference.shape == job.secondary.shape else None
+    scene, other = (source if around is None else Excerpt(source, around) for source in (job.reference, job.secondary))
     with stage("read"):
-        read = job.reference.read(here)
+        read = scene.read(here)
         reference = bridged(read)
         why = skip_reason(reference, "reference")
         if not why:
-            read_there = job.secondary.read(there)
+            read_there = other.read(there)
             secondary = bridged(read_there)
             why = skip_reason(secondary, "secondary")
     if why:
         return BlockResult(block.index, "skipped", why, window=there)
     with stage("identical"):
-        read, read_there, drawn = without_drawn(job.reference, job.secondary, here, there, read, read_there)
+        read, read_there, drawn = without_drawn(scene, other, here, there, read, read_there)
         if drawn is not None:
             reference, secondary = bridged(read), bridged(read_there)
     frame = None if job.areas else _frame(job, prior, here, there)
