@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from featreg.types import BoolArray, FloatArray, Image, Matches, read_only
+from featreg.types import BoolArray, FloatArray, Image, IntArray, Matches, read_only
 
 F32 = NDArray[np.float32]
 
@@ -15,8 +16,11 @@ F32 = NDArray[np.float32]
 LEAST, MOST = 20, 0.7
 #: So many times more often than by chance a value stands at the same place in both images; most values that are asked.
 EXCESS, MOST_VALUES = 4.0, 256
-#: Share of a 9 x 9 square that is identical where an area is, whatever its values.
-DENSE = 0.6
+#: Of larger images so many pixels or up to twice as many tell how often a value is met, and the largest whole number
+#: that is counted without sorting.
+MOST_COUNTED, MOST_WHOLE = 1 << 17, (1 << 16) - 1
+#: Share of a square that is identical where an area is, whatever its values, and the square.
+DENSE, DENSE_BOX = 0.6, (9, 9)
 #: Share of the black or saturated pixels of either image that are so in both, where they were drawn.
 SHARED_DARK = 0.7
 #: What was drawn before images were compressed with losses lies on both, among their brightest tenth: samples from this
@@ -54,7 +58,10 @@ def identical_pixels(reference: Image, secondary: Image) -> BoolArray | None:
     if reference.shape != secondary.shape:
         return None
     a, b = reference.pixels, secondary.pixels
-    same: BoolArray = np.asarray(a == b) & reference.mask & secondary.mask
+    same: BoolArray = np.asarray(a == b)
+    for image in (reference, secondary):
+        if not image.all_valid:
+            same &= image.mask
     count = np.count_nonzero(same)
     if count > MOST * same.size:
         return None
@@ -97,24 +104,66 @@ def stands_still(matches: Matches) -> BoolArray:
 
 
 def _beyond_chance(same: BoolArray, a: F32, b: F32) -> BoolArray:
-    """Of the pixels that are equal, those in areas where nearly all are, or of values that meet too often."""
+    """Of the pixels that are equal, those in areas where nearly all are, or of values that meet too often.
+
+    `same` is changed.
+    """
     import cv2
 
+    at = np.flatnonzero(same)
+    here = a.ravel()[at]
     for value in (a.dtype.type(0), max(a.max(), b.max())):
-        extreme, most = same & (a == value), max(np.count_nonzero(a == value), np.count_nonzero(b == value))
-        if np.count_nonzero(extreme) < SHARED_DARK * most:
+        extreme = here == value
+        count = np.count_nonzero(extreme)
+        if count and count < SHARED_DARK * max(np.count_nonzero(view == value) for view in (a, b)):
             # Calm water quantised to 0 and saturated targets overlap by chance; what was drawn has one outline.
-            same = same & ~extreme
-    dense = cv2.boxFilter(same.astype(np.float32), -1, (9, 9), borderType=cv2.BORDER_REPLICATE) >= DENSE
-    values, counts = np.unique(a[same], return_counts=True)
+            same.ravel()[at[extreme]] = False
+            at, here = at[~extreme], here[~extreme]
+    near = cv2.boxFilter(same.view(np.uint8), -1, DENSE_BOX, normalize=False, borderType=cv2.BORDER_REPLICATE)
+    values, counts = _counted(here)
     # What was drawn is among the values that meet most often.
     ranked = np.argsort(-counts, kind="stable")[:MOST_VALUES]
     ranked = ranked[counts[ranked] >= LEAST]
     often = values[ranked]
     if len(often):
-        chance = np.array([np.count_nonzero(a == v) * (np.count_nonzero(b == v) / b.size) for v in often])
+        # How often each would meet by chance, of large images from so many of their pixels.
+        share = max(1, a.size // MOST_COUNTED)
+        chance = np.full(len(often), share * share / a.size)
+        for view in (a, b):
+            chance *= _counts_of(often, view.ravel()[::share])
         often = often[counts[ranked] > EXCESS * chance]
-    return np.asarray(same & (dense | np.isin(a, often)))
+    found = near.ravel()[at] >= DENSE * math.prod(DENSE_BOX)
+    if len(often):
+        found |= np.isin(here, often)
+    beyond = np.zeros_like(same)
+    beyond.ravel()[at[found]] = True
+    return beyond
+
+
+def _counted(samples: F32) -> tuple[F32, IntArray]:
+    """The values of some samples in ascending order, and how many there are of each; whole numbers without sorting."""
+    whole = _whole_numbers(samples)
+    if whole is None:
+        values, counts = np.unique(samples, return_counts=True)
+        return values, counts
+    counts = np.bincount(whole)
+    there = np.flatnonzero(counts)
+    return there.astype(samples.dtype), counts[there]
+
+
+def _counts_of(values: F32, samples: F32) -> IntArray:
+    """How many of some samples have each of some values."""
+    there, counts = _counted(samples)
+    at = np.minimum(np.searchsorted(there, values), len(there) - 1)
+    return np.asarray(np.where(there[at] == values, counts[at], 0))
+
+
+def _whole_numbers(samples: F32) -> NDArray[np.int32] | None:
+    """Samples as whole numbers below 2^16, None where they are not."""
+    if not len(samples) or samples[0] % 1 or samples.max() > MOST_WHOLE or samples.min() < 0:
+        return None
+    whole = samples.astype(np.int32)
+    return whole if bool((whole == samples).all()) else None
 
 
 def _drawn(reference: Image, secondary: Image) -> BoolArray:
@@ -123,7 +172,10 @@ def _drawn(reference: Image, secondary: Image) -> BoolArray:
 
     from featreg.pipeline import identical_kernels as kernels
 
-    mask, first, second = reference.mask & secondary.mask, reference.amplitude, secondary.amplitude
+    first, second = reference.amplitude, secondary.amplitude
+    mask = reference.mask if secondary.all_valid else secondary.mask
+    if not (reference.all_valid or secondary.all_valid):
+        mask = reference.mask & secondary.mask
     found = np.zeros_like(mask)
     count = np.count_nonzero(mask)
     if not count:
@@ -139,19 +191,21 @@ def _drawn(reference: Image, secondary: Image) -> BoolArray:
     noise = np.float32(GREY_NOISE * top)
     bits = np.empty(mask.shape, np.uint8)
     kernels.drawable(first, second, mask, dark, grey, white, noise, bits)
+    # How many pixels have each combination of the bits.
+    histogram = np.rint(cv2.calcHist([bits], [0], None, [256], [0, 256])).astype(np.int64).ravel()
+
+    def number(bit: np.uint8) -> int:
+        return int(histogram[(np.arange(256) & int(bit)) > 0].sum())
+
     for one, other in (
         (kernels.DARK_BOTH, kernels.DARK_EITHER),
         (kernels.WHITE_BOTH, kernels.WHITE_EITHER),
         (kernels.GREY_BOTH, kernels.GREY_EITHER),
     ):
+        darkest = max(number(kernels.DARK_FIRST), number(kernels.DARK_SECOND)) if one == kernels.DARK_BOTH else 0
+        if number(one) < max(LEAST, SHARED_DARK * darkest):
+            continue
         both = (bits & one) > 0
-        count = np.count_nonzero(both)
-        if count < LEAST:
-            continue
-        if one == kernels.DARK_BOTH and count < SHARED_DARK * max(
-            np.count_nonzero((bits & own) > 0) for own in (kernels.DARK_FIRST, kernels.DARK_SECOND)
-        ):
-            continue
         shared = _count_around(both)
         at = np.flatnonzero(both & (shared >= STROKE))
         if not len(at):
