@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Annotated
 
@@ -16,7 +16,7 @@ from featreg.registry import register
 from featreg.runtime.parameters import Count, Positive
 from featreg.sar.pyramid import REACH, SUPPORT, clear, pyramid
 from featreg.sar.speckle import despeckled_bytes
-from featreg.types import Features, FloatArray, Image
+from featreg.types import Features, FloatArray, Image, read_only
 
 TURNS = 72
 
@@ -62,28 +62,19 @@ class Brief(Descriptor):
 
         chain = pyramid(image, self.levels, self.factor)
         steps = np.log(np.maximum(features.scale, 1e-9) / self.radius) / math.log(self.factor)
-        number = np.clip(np.rint(steps), 0, len(chain) - 1).astype(np.int64)
+        numbers = np.clip(np.rint(steps), 0, len(chain) - 1).astype(np.int64)
         words = np.zeros((len(features), self.bits // 64), np.uint64)
-        kept = np.zeros(len(features), np.bool_)
+        kept = np.zeros(len(features), np.uint8)
         table = turned_pattern(self.bits, self.radius, self.spread)
         turns = _turns(features.angle) if self.oriented else np.zeros(len(features), np.int64)
-        for n, level in enumerate(chain):
-            rows = np.flatnonzero(number == n)
-            at = np.rint((features.xy[rows] + 0.5) * level.shape[::-1] / image.shape[::-1] - 0.5).astype(np.int64)
-            inside = ((at >= 0) & (at < level.shape[::-1])).all(axis=1)
-            inside[inside] = clear(level, self.radius + REACH)[at[inside, 1], at[inside, 0]]
-            rows, at = rows[inside], at[inside]
-            if not len(rows):
-                continue
-            out = np.empty((len(rows), words.shape[1]), np.uint64)
-            xs, ys = np.ascontiguousarray(at.T)
-            view = despeckled_bytes(level, self.sigma)
-            binary_kernels.compare_pairs(view.ravel(), view.shape[1], xs, ys, table, turns[rows], out)
-            words[rows] = out
-            kept[rows] = True
+        for number in np.flatnonzero(np.bincount(numbers, minlength=len(chain))).tolist():
+            level = chain[number]
+            allowed = clear(level, self.radius + REACH).view(np.uint8)
+            flat = despeckled_bytes(level, self.sigma).ravel()
+            size = image.shape[::-1]
+            binary_kernels.describe_level(flat, allowed, features.xy, *size, numbers, number, table, turns, words, kept)
         index = np.flatnonzero(kept)
-        packed = words[index].view(np.uint8)
-        return replace(features.take(index), descriptors=packed, norm="hamming", index=index)
+        return features.take(index, descriptors=read_only(words[index].view(np.uint8)), norm="hamming", index=index)
 
 
 def _turns(angle: FloatArray) -> NDArray[np.int64]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -79,23 +80,24 @@ class SarOfast(Detector):
         found = [self._corners(level) for level in chain]
         counts = share_out(self.n_features, [len(score) for _, score in found], self.quota_decay)
         parts = []
-        for number, (level, (xy, score), count) in enumerate(zip(chain, found, counts, strict=True)):
+        for level, (xy, score), count in zip(chain, found, counts, strict=True):
             at = xy[:count]
             moved, stable = self._subpixel(level, at)
-            scale = self.support * np.sqrt(image.mask.size / level.mask.size)
             view = despeckled_bytes(level) if self.centroid == "amplitude" else self._edges(level)
             parts.append(
-                Features(
-                    xy=to_base(moved, level, image),
-                    scale=scale,
-                    angle=orientation(view, at, ORIENTATION_RADIUS),
-                    score=score[:count].astype(np.float64),
-                    level=np.full(len(at), number),
-                    subpixel=stable,
-                )
+                (to_base(moved, level, image), orientation(view, at, ORIENTATION_RADIUS), score[:count], stable)
             )
-        everything = Features.concatenate(parts)
-        return everything.take(np.argsort(-everything.score, kind="stable"))
+        places, angle, score, stable = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+        scales = [self.support * math.sqrt(image.mask.size / level.mask.size) for level in chain]
+        order = np.argsort(255 - score, kind="stable")
+        return Features(
+            xy=places[order],
+            scale=np.repeat(scales, counts)[order],
+            angle=angle[order],
+            score=score[order],
+            level=np.repeat(np.arange(len(chain)), counts)[order],
+            subpixel=stable[order],
+        )
 
     def _edges(self, level: Image) -> NDArray[np.uint8]:
         return level.derive(quantised_edges, alpha=self.alpha, floor=self.floor, eq5=self.edge == "eq5", clip=self.clip)

@@ -52,11 +52,11 @@ def share_out(total: int, supply: Sequence[int], decay: float) -> list[int]:
 
     What a level cannot fill goes to the next finer one, and what the finest cannot to the coarser ones.
     """
-    want = np.array([decay**-level for level in range(len(supply))])
-    counts = np.minimum((want / want.sum() * total).astype(int), supply)
+    want = [decay**-level for level in range(len(supply))]
+    counts = [min(int(share / sum(want) * total), there) for share, there in zip(want, supply, strict=True)]
     for level in [*range(len(supply) - 1, -1, -1), *range(len(supply))]:
-        counts[level] += max(0, min(supply[level] - counts[level], total - int(counts.sum())))
-    return [int(count) for count in counts]
+        counts[level] += max(0, min(supply[level] - counts[level], total - sum(counts)))
+    return counts
 
 
 def clear(image: Image, radius: float) -> BoolArray:

@@ -129,13 +129,15 @@ class Features(ReadOnlyArrays, Shown):
         columns |= {} if self.subpixel is None else {"subpixel": self.subpixel}
         return import_pandas().DataFrame(columns)
 
-    def take(self, rows: NDArray[Any]) -> Self:
-        """The features of the given rows (indices or a bool mask), in that order."""
+    def take(self, rows: NDArray[Any], **new: Any) -> Self:
+        """The features of the given rows (indices or a bool mask), in that order; with other columns where given."""
         columns = {name: values for name, values in vars(self).items() if isinstance(values, np.ndarray)}
-        return replace(self, **{name: read_only(values[rows]) for name, values in columns.items()})
+        return replace(self, **({name: read_only(values[rows]) for name, values in columns.items()} | new))
 
     def best(self, count: int) -> Self:
         """At most `count` features of the highest score, best first, ties in the order given."""
+        if len(self) <= count and (self.score[1:] <= self.score[:-1]).all():
+            return self
         return self.take(np.argsort(-self.score, kind="stable")[:count])
 
     def to_keypoints(self, *, octave: ArrayLike | None = None, class_id: ArrayLike = -1) -> list[Any]:

@@ -28,7 +28,7 @@ def in_place(module: Any) -> None:
 
 
 def test_the_files_hold_every_kernel_that_the_default_method_calls() -> None:
-    for name in ("nearest_hamming", "compare_pairs"):
+    for name in ("nearest_hamming", "describe_level"):
         kernel: Any = getattr(binary_kernels, name)
         listed = [entry for entry in precompiled.listed(kernel.path) if entry["kernel"] == name]
         assert listed, f"{name} is not prepared: make kernels"

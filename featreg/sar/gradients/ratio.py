@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from featreg.errors import ParameterError
 from featreg.runtime.buffers import scratch
-from featreg.sar.speckle import filled_amplitude
+from featreg.sar.speckle import filled_amplitude, mean_amplitude
 from featreg.types import BoolArray, Image
 
 F32 = NDArray[np.float32]
@@ -104,15 +104,14 @@ def roewa(
     return gx, gy
 
 
-def roewa_strength(amplitude: F32, alpha: float, floor: float = FLOOR, out: U16 | None = None) -> U16:
+def roewa_strength(amplitude: F32, alpha: float, floor: float = FLOOR, mean: float | None = None) -> U16:
     """Return the (H, W) uint16 length of `roewa`'s gradient of a plain array in steps of 1 / `STEPS`, to 1 %.
 
-    The gradient is not stored. It is written to `out` where that is given.
+    The gradient is not stored. `mean` is that of the amplitude, where it is known.
     """
-    strength = np.empty(amplitude.shape, np.uint16) if out is None else out
-    log_ratios(amplitude, alpha, floor, lengths=strength)
-    strength[[0, -1]] = 0
-    strength[:, [0, -1]] = 0
+    strength = np.empty(amplitude.shape, np.uint16)
+    log_ratios(amplitude, alpha, floor, lengths=strength, mean=mean)
+    strength[0], strength[-1], strength[:, 0], strength[:, -1] = 0, 0, 0, 0
     return strength
 
 
@@ -124,19 +123,20 @@ def log_ratios(
     gy: F32 = NONE,
     both: F32 = NONE[:, :, None],
     lengths: U16 = NO_LENGTHS,
+    mean: float | None = None,
 ) -> None:
     """Write the log ratios of the means of the amplitude plus `floor` of its mean, which adds that to every mean.
 
-    They go to that of the last four that has rows; see `ratio_kernels.log_ratios`. The weights that exist on each side,
-    fewer near the border, are known in closed form. Without a floor the sums are compared as they are: the weights are
-    the caller's.
+    They go to that of the four arrays that has rows; see `ratio_kernels.log_ratios`. The weights that exist on each
+    side, fewer near the border, are known in closed form. Without a floor the sums are compared as they are: the
+    weights are the caller's. `mean` is that of the amplitude, where it is known.
     """
     import cv2
 
     from featreg.sar.gradients import ratio_kernels
 
     image = np.ascontiguousarray(amplitude, np.float32)
-    mean = float(cv2.mean(image)[0])
+    mean = float(cv2.mean(image)[0]) if mean is None else mean
     if mean > 0 and not FEW < mean < MANY:
         gain = 2.0 ** -round(math.log2(mean))
         image, mean = (image * gain).astype(np.float32), mean * gain
@@ -206,7 +206,7 @@ def quantised_edges(
         strength = edge_strength(*ratio_gradients(image, alpha, floor), eq5=True)
         least = LEAST_EDGE
     else:
-        strength = roewa_strength(filled_amplitude(image), alpha, floor)
+        strength = roewa_strength(filled_amplitude(image), alpha, floor, mean_amplitude(image))
         least = LEAST_EDGE * STEPS
     step = max(1, math.isqrt(strength.size // SAMPLE))
     sample = strength[::step, ::step][image.mask[::step, ::step]]

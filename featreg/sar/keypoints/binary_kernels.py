@@ -9,22 +9,33 @@ from featreg.runtime.jit import compiled, inlined
 
 U64 = NDArray[np.uint64]
 I64 = NDArray[np.int64]
+U8 = NDArray[np.uint8]
 
 
 @compiled
-def compare_pairs(
-    flat: NDArray[np.uint8], width: int, xs: I64, ys: I64, table: NDArray[np.int8], turns: I64, bits: U64
-) -> None:
-    """Set bit b of point i where the first sample of pair b is darker than the second.
+def describe_level(
+    flat: U8, allowed: U8, xy: NDArray[np.float64], image_width: int, image_height: int, numbers: I64,
+    number: int, table: NDArray[np.int8], turns: I64, bits: U64, kept: U8,
+) -> None:  # fmt: skip
+    """Describe the points of one level: set bit b where the first sample of pair b is darker than the second.
 
-    `flat` (H * W,) is the image row by row, `table` (T, B, 4) holds the (x1, y1, x2, y2) offsets of the pairs for each
-    turn, `turns` (N,) the turn of each point; samples must lie inside the image.
+    Those of `xy` (N, 2), in pixels of an image of `image_width` and `image_height`, whose `numbers` (N,) is `number`;
+    `kept` (N,) becomes 1 where the pixel they fall on is `allowed` (H, W), from which all samples must lie inside.
+    `flat` (H * W,) is the level row by row, `table` (T, B, 4) holds the (x1, y1, x2, y2) offsets of the pairs for each
+    turn, `turns` (N,) the turn of each point.
     """
+    height, width = allowed.shape
     count = table.shape[1]
-    first = np.empty((table.shape[0], count), np.int64)
-    second = np.empty((table.shape[0], count), np.int64)
+    first, second = np.empty((table.shape[0], count), np.int64), np.empty((table.shape[0], count), np.int64)
     known = np.zeros(table.shape[0], np.bool_)
-    for i in range(xs.shape[0]):
+    for i in range(xy.shape[0]):
+        if numbers[i] != number:
+            continue
+        x = np.int64(np.rint((xy[i, 0] + 0.5) * width / image_width - 0.5))
+        y = np.int64(np.rint((xy[i, 1] + 0.5) * height / image_height - 0.5))
+        if x < 0 or y < 0 or x >= width or y >= height or allowed[y, x] == 0:
+            continue
+        kept[i] = 1
         turn = turns[i]
         if not known[turn]:
             known[turn] = True
@@ -32,7 +43,7 @@ def compare_pairs(
                 first[turn, b] = table[turn, b, 0] + width * np.int64(table[turn, b, 1])
                 second[turn, b] = table[turn, b, 2] + width * np.int64(table[turn, b, 3])
         one, two = first[turn], second[turn]
-        at = ys[i] * width + xs[i]
+        at = y * width + x
         for word in range(count // 64):
             value = np.uint64(0)
             for b in range(64):
