@@ -22,6 +22,8 @@ from featreg.types import Features, Image
 COARSEST_GRID = 1.4
 # From this sigma on, in pixels of that halving, gradients are computed in every other row and column.
 SPARSE = 1.9
+# Samples lie no further apart than so much of the radius.
+SPARSEST = 0.25
 
 
 @register("gabor-odd")
@@ -36,6 +38,8 @@ class GaborOdd(Descriptor):
     orientations : filter directions over half a turn
     floor : added to the means before their ratio is taken, relative to the image's mean amplitude
     step : distance of the samples relative to the radius
+    spread : up to so many times the finest standard deviation samples lie that far apart; those of coarser filters,
+        which smooth more, lie further apart as they are coarser, up to a quarter of the radius
     harmonics : Fourier harmonics kept of the directions of each cell, beside their mean, 0 to 4; 4 keeps the histograms
         of eight directions themselves
     magnification : the radius is so many times the keypoint's scale; 6 suits OpenCV's SIFT, which gives its sigma
@@ -50,8 +54,9 @@ class GaborOdd(Descriptor):
     alike; any detector's keypoints may be described, those kept being the ones of the highest score. Three directions
     match as well as four, six or eight. Cells are GLOH's 17 instead of SIFT's 16 square ones. Two harmonics of a cell's
     directions match as well as its eight bins. Filters of larger sigma run on a halved image, and from a sigma of 1.9
-    of its pixels on in every other row and column of it. What lies outside the image or near nodata counts as no
-    gradient; only keypoints that lie there themselves, or have no gradient around them, are dropped.
+    of its pixels on in every other row and column of it; the two coarser of four are sampled half as often (`spread`),
+    which loses one in a hundred correct matches. What lies outside the image or near nodata counts as no gradient; only
+    keypoints that lie there themselves, or have no gradient around them, are dropped.
     """
 
     scales: Count = 1
@@ -60,6 +65,7 @@ class GaborOdd(Descriptor):
     orientations: Annotated[int, Ge(2)] = 3
     floor: Annotated[float, Ge(0)] = 0.01
     step: Step = 0.125
+    spread: Annotated[float, Ge(1)] = math.sqrt(2)
     harmonics: Harmonics = 2
     magnification: Positive = 1.0
 
@@ -82,5 +88,6 @@ class GaborOdd(Descriptor):
             field = GradientField(*gabor_gradients(level, sigma, self.orientations, self.floor, sparse))
             radius = self.magnification * features.scale * level.shape[1] / image.shape[1]
             xy = from_base(features.xy, level, image)
-            total += normalised(gloh(field, xy, radius, features.angle, self.harmonics, self.step))
+            step = max(self.step, min(SPARSEST, self.step * self.factor**k / self.spread))
+            total += normalised(gloh(field, xy, radius, features.angle, self.harmonics, step))
         return described(image, features, normalised(total))

@@ -12,10 +12,10 @@ from annotated_types import Ge, Interval
 from featreg.interfaces import Detector
 from featreg.registry import register
 from featreg.runtime.parameters import Count, Positive
-from featreg.sar.gradients.gradient_field import passing_gradients
-from featreg.sar.keypoints.harris import harris_response
+from featreg.sar.keypoints.harris import ratio_harris_response
 from featreg.sar.keypoints.maxima import local_maxima, quadratic_peak
 from featreg.sar.pyramid import clear
+from featreg.sar.speckle import filled_amplitude
 from featreg.types import Features, Image, IntArray
 
 
@@ -59,8 +59,8 @@ class BlockSarHarris(Detector):
         return self.support + 4 * self.alpha
 
     def detect_features(self, image: Image) -> Features:
-        gradients = passing_gradients(image, self.alpha, self.floor)
-        response = harris_response(*gradients, self.integration * self.alpha, self.d)
+        sigma = self.integration * self.alpha
+        response = ratio_harris_response(filled_amplitude(image), self.alpha, self.floor, sigma, self.d)
         found = local_maxima(response, clear(image, self.support), self.threshold, response.size)
         at = found[self._chosen(found, image.shape)]
         return Features(

@@ -19,13 +19,13 @@ from featreg.sar.gradients.gradient_field import (
     filled_gradients,
     from_base,
     octave,
-    passing_gradients,
     ratio_field,
 )
 from featreg.sar.keypoints.gradient_histograms import dominant_orientation, further_orientations
-from featreg.sar.keypoints.harris import harris_response
+from featreg.sar.keypoints.harris import harris_response, ratio_harris_response
 from featreg.sar.keypoints.maxima import interpolated, local_maxima, parabola_peak, quadratic_peak
 from featreg.sar.pyramid import clear, share_out, to_base
+from featreg.sar.speckle import filled_amplitude
 from featreg.types import Features, FloatArray, Image, IntArray
 
 F32 = NDArray[np.float32]
@@ -136,10 +136,12 @@ class SarHarris(Detector):
     def _layer(self, image: Image, number: int) -> _Layer:
         alpha = self.alpha * self.factor**number
         level, local = octave(image, alpha, COARSEST_GRID)
+        out, sigma = scratch(f"response {alpha!r}", level.shape), self.integration * local
         # Neither orientations nor descriptors are taken from gradients finer than `finest`.
-        gradients = (filled_gradients if alpha >= self.finest else passing_gradients)(level, local, self.floor)
-        out = scratch(f"response {alpha!r}", level.shape)
-        response = harris_response(*gradients, self.integration * local, self.d, out)
+        if alpha < self.finest:
+            response = ratio_harris_response(filled_amplitude(level), local, self.floor, sigma, self.d, out)
+        else:
+            response = harris_response(*filled_gradients(level, local, self.floor), sigma, self.d, out)
         reach = self.support * alpha * level.shape[1] / image.shape[1]
         maxima = local_maxima(response, clear(level, reach), self.threshold, self.n_features)
         return _Layer(number, alpha, level, response, maxima)

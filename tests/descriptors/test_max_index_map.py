@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -186,6 +187,18 @@ def test_differing_bits_count_differences_in_levels(levels: int) -> None:
     assert np.count_nonzero(bits[0] != bits[1]) == np.abs(level[0] - level[1]).sum()
     for part in (level[:, :5000], level[:, 5000:]):
         np.testing.assert_allclose(np.bincount(part.ravel(), minlength=levels) / part.size, 1 / levels, atol=0.02)
+
+
+@pytest.mark.parametrize(("levels", "cells"), [(2, 1), (3, 169), (5, 30)])
+def test_bits_are_those_of_plain_comparisons(levels: int, cells: int) -> None:
+    rng = np.random.default_rng(levels)
+    triples, known = rng.normal(size=(20, 3, cells)).astype(np.float32), rng.uniform(0.5, 1, 20).astype(np.float32)
+    energy = np.einsum("nkc,nkc->nk", triples, triples)
+    energy[:, 1:] = energy[:, 1:].mean(axis=1, keepdims=True)
+    spread = np.sqrt(energy / (cells * known)[:, None])
+    above = [triples > np.float32(NormalDist().inv_cdf(k / levels)) * spread[:, :, None] for k in range(1, levels)]
+    wanted = np.packbits(np.stack(above, axis=1).reshape(20, -1), axis=1)
+    np.testing.assert_array_equal(level_bits(triples, known, levels), wanted)
 
 
 def test_what_is_missing_counts_as_average_and_too_little_is_dropped(sar_texture: Texture) -> None:

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from featreg.runtime.buffers import scratch
 from featreg.sar.gradients.ratio import ratio_gradients, roewa
 from featreg.sar.pyramid import pyramid, whole_squares
 from featreg.sar.speckle import filled_amplitude
@@ -64,11 +63,6 @@ def filled_gradients(level: Image, alpha: float, floor: float) -> tuple[F32, F32
     if level.all_valid:
         return ratio_gradients(level, alpha, floor)
     return level.derive(_filled_gradients, alpha=float(alpha), floor=float(floor))
-
-
-def passing_gradients(level: Image, alpha: float, floor: float) -> tuple[F32, F32]:
-    """Return `filled_gradients` in arrays that hold them until the next call, for a caller who needs them once."""
-    return roewa(filled_amplitude(level), alpha, None, floor, scratch("gradients", (2, *level.shape)))
 
 
 def _filled_gradients(level: Image, alpha: float, floor: float) -> tuple[F32, F32]:

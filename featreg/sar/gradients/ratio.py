@@ -131,19 +131,10 @@ def log_ratios(
     side, fewer near the border, are known in closed form. Without a floor the sums are compared as they are: the
     weights are the caller's. `mean` is that of the amplitude, where it is known.
     """
-    import cv2
-
     from featreg.sar.gradients import ratio_kernels
 
-    image = np.ascontiguousarray(amplitude, np.float32)
-    mean = float(cv2.mean(image)[0]) if mean is None else mean
-    if mean > 0 and not FEW < mean < MANY:
-        gain = 2.0 ** -round(math.log2(mean))
-        image, mean = (image * gain).astype(np.float32), mean * gain
-    constants = _recursion(image.shape, mean, alpha, floor)
+    image, constants, halo = recursion(amplitude, alpha, floor, mean)
     height, width = image.shape
-    # Beyond so many pixels what decays is rounding.
-    halo = 8 * math.ceil(min(FADED * alpha, max(height, width)) / 8)
     tile = max(TILE, 4 * halo) if len(lengths) else width
     rows = max(STRIP, halo)
     room = (2, min(rows + halo, height) + 1, min(tile + 2 * halo, width))
@@ -151,9 +142,26 @@ def log_ratios(
     ratio_kernels.log_ratios(image, *constants, halo, tile, rows, up, gx, gy, both, np.float32(STEPS), lengths)
 
 
-def _recursion(
-    shape: tuple[int, ...], mean: float, alpha: float, floor: float | None
-) -> tuple[np.float32, np.float32, np.float32, F32, F32]:
+Constants = tuple[np.float32, np.float32, np.float32, F32, F32]
+
+
+def recursion(
+    amplitude: F32, alpha: float, floor: float | None, mean: float | None = None
+) -> tuple[F32, Constants, int]:
+    """Return what the kernels of ratios ask: an image, maybe brightened, constants, pixels beyond which all decayed."""
+    import cv2
+
+    image = np.ascontiguousarray(amplitude, np.float32)
+    mean = float(cv2.mean(image)[0]) if mean is None else mean
+    if mean > 0 and not FEW < mean < MANY:
+        gain = 2.0 ** -round(math.log2(mean))
+        image, mean = (image * gain).astype(np.float32), mean * gain
+    constants = _recursion(image.shape, mean, alpha, floor)
+    # Beyond so many pixels what decays is rounding.
+    return image, constants, 8 * math.ceil(min(FADED * alpha, max(image.shape)) / 8)
+
+
+def _recursion(shape: tuple[int, ...], mean: float, alpha: float, floor: float | None) -> Constants:
     """Return what the kernel asks beside an image (H, W) of that shape and mean.
 
     Returns

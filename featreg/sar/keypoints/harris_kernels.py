@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.runtime.jit import compiled
+from featreg.sar.gradients.strip_kernels import strip, weights_beside
 from featreg.sar.keypoints.binary_kernels import lowest_byte
 from featreg.sar.smoothing_kernels import smoothed_across, smoothed_along
 
@@ -30,6 +31,38 @@ def _response_of_row(xx: F32, xy: F32, yy: F32, d: np.float32, out: F32) -> None
 
 
 @compiled
+def _next_row(
+    gx: F32, gy: F32, y: int, taps: F32, rows: I64, columns: I64, d: np.float32, done: int, ring: F32, product: F32,
+    smooth: F32, places: I64, out: F32,
+) -> int:  # fmt: skip
+    """Take in row `y` of a gradient field, and write the rows of the response that wait for no other.
+
+    `done` is how many were written before; how many there are now is returned.
+    """
+    height, width = out.shape
+    reach = taps.shape[0] - 1
+    side = 2 * reach + 1
+    _products_of_row(
+        gx, gy,
+        product[0, reach : reach + width], product[1, reach : reach + width], product[2, reach : reach + width],
+    )  # fmt: skip
+    for n in range(3):
+        for k in range(reach):
+            product[n, k] = product[n, reach + columns[k]]
+            product[n, reach + width + k] = product[n, reach + columns[reach + width + k]]
+        smoothed_along(product[n], taps, ring[n, y % side])
+    # A row is complete when the last one that it needs is there; the last ones wait for the last of all.
+    ready = y - reach + 1 if y < height - 1 else height
+    for row in range(done, ready):
+        for k in range(side):
+            places[k] = rows[row + k] % side
+        for n in range(3):
+            smoothed_across(ring[n], places, taps, smooth[n])
+        _response_of_row(smooth[0], smooth[1], smooth[2], d, out[row])
+    return int(max(done, ready))
+
+
+@compiled
 def response(gx: F32, gy: F32, taps: F32, rows: I64, columns: I64, d: np.float32, out: F32) -> None:
     """Fill `out` with det - d trace^2 of the smoothed matrix of a gradient field (H, W).
 
@@ -38,32 +71,40 @@ def response(gx: F32, gy: F32, taps: F32, rows: I64, columns: I64, d: np.float32
     border is the caller's. What is smoothed along rows waits in a ring of as many rows as the filter is high: nothing
     but the gradients and the response leaves the cache.
     """
-    height, width = gx.shape
-    reach = taps.shape[0] - 1
-    side = 2 * reach + 1
-    ring = np.empty((3, side, width), np.float32)
+    width, reach = gx.shape[1], taps.shape[0] - 1
+    ring = np.empty((3, 2 * reach + 1, width), np.float32)
     product, smooth = np.empty((3, width + 2 * reach), np.float32), np.empty((3, width), np.float32)
-    places = np.empty(side, np.int64)
+    places = np.empty(2 * reach + 1, np.int64)
     done = 0
-    for y in range(height):
-        _products_of_row(
-            gx[y], gy[y],
-            product[0, reach : reach + width], product[1, reach : reach + width], product[2, reach : reach + width],
-        )  # fmt: skip
-        for n in range(3):
-            for k in range(reach):
-                product[n, k] = product[n, reach + columns[k]]
-                product[n, reach + width + k] = product[n, reach + columns[reach + width + k]]
-            smoothed_along(product[n], taps, ring[n, y % side])
-        # A row is complete when the last one that it needs is there; the last ones wait for the last of all.
-        ready = y - reach + 1 if y < height - 1 else height
-        for row in range(done, ready):
-            for k in range(side):
-                places[k] = rows[row + k] % side
-            for n in range(3):
-                smoothed_across(ring[n], places, taps, smooth[n])
-            _response_of_row(smooth[0], smooth[1], smooth[2], d, out[row])
-        done = max(done, ready)
+    for y in range(gx.shape[0]):
+        done = _next_row(gx[y], gy[y], y, taps, rows, columns, d, done, ring, product, smooth, places, out)
+
+
+@compiled
+def response_of_ratios(
+    image: F32, offset: np.float32, decay: np.float32, tiny: np.float32, share_x: F32, share_y: F32, strip_rows: int,
+    halo: int, taps: F32, rows: I64, columns: I64, d: np.float32, out: F32,
+) -> None:  # fmt: skip
+    """As `response`, of the ratio gradients of an image plus an offset, 0 across its border, of which no map is made.
+
+    What comes before `taps` is as in `featreg.sar.gradients.strip_kernels.strip`.
+    """
+    height, width = image.shape
+    reach = taps.shape[0] - 1
+    up, beside = np.zeros((2, strip_rows + halo + 1, width), np.float32), weights_beside(share_x, decay)
+    gx, gy = np.empty((strip_rows, width), np.float32), np.empty((strip_rows, width), np.float32)
+    ring = np.empty((3, 2 * reach + 1, width), np.float32)
+    product, smooth = np.empty((3, width + 2 * reach), np.float32), np.empty((3, width), np.float32)
+    places = np.empty(2 * reach + 1, np.int64)
+    done = 0
+    for top in range(0, height, strip_rows):
+        strip(image, top, strip_rows, halo, offset, decay, tiny, beside, share_y, up, gx, gy)
+        for y in range(top, min(top + strip_rows, height)):
+            across, down = gx[y - top], gy[y - top]
+            across[0], across[width - 1] = np.float32(0), np.float32(0)
+            if y == 0 or y == height - 1:
+                down[:] = np.float32(0)
+            done = _next_row(across, down, y, taps, rows, columns, d, done, ring, product, smooth, places, out)
 
 
 @compiled

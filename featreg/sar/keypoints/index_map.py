@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from featreg.sar.gradients.log_gabor import LogGabor
 from featreg.sar.gradients.phase_congruency import STEPS, Congruency, bytes_of, congruency_maps
 from featreg.sar.pyramid import whole_squares
-from featreg.types import BoolArray, FloatArray, Image, IntArray
+from featreg.types import FloatArray, Image, IntArray
 
 F32 = NDArray[np.float32]
 I32 = NDArray[np.int32]
@@ -151,15 +151,13 @@ def level_bits(triples: F32, known: F32, levels: int) -> U8:
     Each number of a (N, 3, cells) triple is told apart in `levels` that a normal distribution would fill alike, by as
     many bits less one. Means and harmonics have a standard deviation of their own, over the `known` (N,) share.
     """
-    count = triples.shape[2] * np.maximum(known, np.float32(1e-6))
-    energy = np.einsum("nkc,nkc->nk", triples, triples)
-    energy[:, 1:] = energy[:, 1:].mean(axis=1, keepdims=True)
-    spread = np.sqrt(energy / count[:, None])
-    bits: BoolArray = np.empty((len(triples), levels - 1, *triples.shape[1:]), np.bool_)
-    for k in range(1, levels):
-        limit = np.float32(NormalDist().inv_cdf(k / levels)) * spread
-        np.greater(triples, limit[:, :, None], out=bits[:, k - 1])
-    return np.packbits(bits.reshape(len(triples), math.prod(bits.shape[1:])), axis=1)
+    from featreg.sar.keypoints import index_map_kernels
+
+    limits = np.array([NormalDist().inv_cdf(k / levels) for k in range(1, levels)], np.float32)
+    flat = triples.reshape(len(triples), math.prod(triples.shape[1:]))
+    bits = np.empty((len(flat), -(-len(limits) * flat.shape[1] // 8)), np.uint8)
+    index_map_kernels.level_bits(flat, known, limits, bits)
+    return bits
 
 
 def _cell_list(image: Image, bank: LogGabor, congruency: Congruency, cells: Cells) -> F32:

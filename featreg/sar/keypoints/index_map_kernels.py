@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from featreg.runtime.jit import compiled
 
 U8 = NDArray[np.uint8]
+U64 = NDArray[np.uint64]
 I32 = NDArray[np.int32]
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -97,3 +98,60 @@ def gather_turned(cells: F32, place: I32, angle: F64, out: F32, known: F32) -> N
             row[2 * count + c] = even * sine + odd * cosine
             seen += cells[k + three]
         known[i] = seen / np.float32(count)
+
+
+@compiled
+def _squares(row: F32, lanes: F32) -> float:
+    """The sum of squares, in as many partial sums as there are lanes."""
+    lanes[:] = 0
+    whole = row.shape[0] // lanes.shape[0] * lanes.shape[0]
+    for start in range(0, whole, lanes.shape[0]):
+        _add_squares(row[start : start + lanes.shape[0]], lanes)
+    total = 0.0
+    for lane in lanes:
+        total += lane
+    for x in range(whole, row.shape[0]):
+        total += row[x] * row[x]
+    return total
+
+
+@compiled
+def _add_squares(part: F32, lanes: F32) -> None:
+    for x in range(lanes.shape[0]):
+        lanes[x] += part[x] * part[x]
+
+
+@compiled
+def _above(row: F32, limit: np.float32, out: U8) -> None:
+    for x in range(row.shape[0]):
+        out[x] = np.uint8(row[x] > limit)
+
+
+@compiled
+def _packed(eights: U64, out: U8) -> None:
+    """Bytes of 0 and 1, eight at a time, become the bits of one, the first the highest."""
+    for x in range(out.shape[0]):
+        out[x] = np.uint8((eights[x] * np.uint64(0x8040201008040201)) >> np.uint64(56))
+
+
+@compiled
+def level_bits(triples: F32, known: F32, limits: F32, bits: U8) -> None:
+    """Fill `bits` (N, bytes) with whether the numbers (N, 3 * cells) lie above each of the (L,) `limits`.
+
+    Limits are in units of the standard deviation around 0, one of the first third of a row, the means, and one of both
+    halves of the harmonics, over the `known` (N,) share of the cells. Bits run through a row for each limit in turn.
+    """
+    cells = triples.shape[1] // 3
+    lanes = np.empty(32, np.float32)
+    ones = np.zeros(8 * bits.shape[1], np.uint8)
+    eights = ones.view(np.uint64)
+    for i in range(triples.shape[0]):
+        row = triples[i]
+        count = cells * max(known[i], np.float32(1e-6))
+        mean = np.float32(np.sqrt(_squares(row[:cells], lanes) / count))
+        harmonic = np.float32(np.sqrt(_squares(row[cells:], lanes) / (2 * count)))
+        for k in range(limits.shape[0]):
+            first = 3 * cells * k
+            _above(row[:cells], limits[k] * mean, ones[first : first + cells])
+            _above(row[cells:], limits[k] * harmonic, ones[first + cells : first + 3 * cells])
+        _packed(eights, bits[i])

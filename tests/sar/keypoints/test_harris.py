@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from featreg.sar.keypoints.harris import harris_response, reflected
+from featreg.sar.gradients.ratio import roewa
+from featreg.sar.keypoints.harris import harris_response, ratio_harris_response, reflected
 
 F32 = NDArray[np.float32]
+Texture = Callable[..., F32]
 
 
 def plain(gx: F32, gy: F32, sigma: float, reach: int, d: float) -> NDArray[np.float64]:
@@ -49,3 +51,14 @@ def test_the_ring_is_the_same_for_any_number_of_rows(sar_texture: Callable[..., 
     gx, gy = (np.ascontiguousarray(part) for part in np.gradient(sar_texture(90, 64)))
     whole, part = harris_response(gx, gy, 1.0), harris_response(gx[:70], gy[:70], 1.0)
     np.testing.assert_array_equal(whole[:66], part[:66])
+
+
+@pytest.mark.parametrize("alpha", [1.0, 2.52])
+@pytest.mark.parametrize("shape", [(75, 70), (8, 40), (3, 9)])
+def test_gradients_that_pass_row_by_row_have_the_response_of_their_maps(
+    sar_texture: Texture, shape: tuple[int, int], alpha: float
+) -> None:
+    amplitude = np.ascontiguousarray(sar_texture(80, 80)[: shape[0], : shape[1]])
+    wanted = harris_response(*roewa(amplitude, alpha, None, 0.01), 0.8 * alpha)
+    found = ratio_harris_response(amplitude, alpha, 0.01, 0.8 * alpha)
+    np.testing.assert_allclose(found, wanted, atol=1e-5 * float(np.abs(wanted).max()))
