@@ -187,7 +187,7 @@ _LNIFT_TRUST = {"least_inliers": 60, "significance": -140.0}
 # such pairs all have a `held_out` of at most 2.3 px, of 121 crops of them 2.8. Their intensities peak elsewhere than
 # the images agree, so that windows of them drift by up to 15 px from right models. What keeps other places out is the
 # matcher's own verification: of 544 pairs of other places none reaches its limit.
-_DENSE_TRUST = {"least_inliers": 20, "held_out_px": 3.0, "drift_px": math.inf}
+_DENSE_TRUST = {"least_inliers": 20, "held_out_px": 3.0, "held_out_rmse_px": 3.0, "drift_px": math.inf}
 
 # As of sar-dense: templates overlap, and the intensities of an optical and a SAR image do not compare. What keeps other
 # places out is the matcher's own test against chance.

@@ -25,6 +25,9 @@ FAR_PX = 6.0
 #: Tie points of a block that can speak for it, and how near to each other, in px, the displacements of half of them lie
 #: where they were not measured by correlation.
 CHECK_POINTS, COHERENT_PX = 8, 2.0
+#: By how many standard deviations of a Poisson count the displacements that lie together must exceed chance, and how
+#: often their middle is sought anew.
+SIGMAS, CENTRED = 6.0, 3
 #: Fewest blocks of which every second one is left out of a fit; of fewer, every second tie point is.
 LEAST_FOR_CHESS = 4
 
@@ -223,10 +226,11 @@ def block_errors(merged: Merged, model: Model, count: int) -> FloatArray:
     """(count,) median distance in pixels of each block's own tie points from the model; NaN of blocks with too few.
 
     Those that the model's fit left out count as well, however far they lie: they were measured without that model.
-    Where no block was refined, those that were located or else that the local filters kept speak, if over half of them
-    move alike.
+    Where no block was refined, those that were located speak, if over half of them move alike. Where none was located
+    either, the median displacement of those that move alike among what the local filters kept, whose own noise may be
+    as large as what is asked, if they are many more than lie around them.
     """
-    refined = bool(len(merged.refined))
+    refined, measured = bool(len(merged.refined)), bool(len(merged.refined) or len(merged.located))
     if refined:
         points, owners = merged.refined, merged.refined_blocks
     elif len(merged.located):
@@ -241,10 +245,28 @@ def block_errors(merged: Merged, model: Model, count: int) -> FloatArray:
         mine = mine[np.isfinite(mine).all(axis=1)]
         if len(mine) < CHECK_POINTS:
             continue
+        if not measured:
+            together = _together(mine)
+            errors[block] = np.nan if together is None else np.hypot(*np.median(mine[together], axis=0))
+            continue
         alike = np.hypot(*(mine - np.median(mine, axis=0)).T) <= COHERENT_PX
         if refined or alike.mean() > 0.5:
             errors[block] = np.median(np.hypot(*mine.T))
     return errors
+
+
+def _together(away: FloatArray) -> BoolArray | None:
+    """(N,) displacements (N, 2) in px that lie together where most do; None where they hardly stand out.
+
+    What lies around them, up to three times as far, tells how many would lie together by chance.
+    """
+    centre = away[(np.hypot(*(away[:, None] - away[None]).transpose(2, 0, 1)) <= COHERENT_PX).sum(axis=1).argmax()]
+    for _ in range(CENTRED):
+        centre = np.mean(away[np.hypot(*(away - centre).T) <= COHERENT_PX], axis=0)
+    distance = np.hypot(*(away - centre).T)
+    best = distance <= COHERENT_PX
+    chance = np.count_nonzero(~best & (distance <= 3 * COHERENT_PX)) / 8
+    return best if np.count_nonzero(best) >= max(CHECK_POINTS, chance + SIGMAS * math.sqrt(chance)) else None
 
 
 def accuracy(

@@ -133,6 +133,26 @@ def test_blocks_whose_unrefined_points_do_not_agree_say_nothing() -> None:
     assert np.flatnonzero(np.isnan(block_errors(merged, Translation(0.0, 0.0), 25))).tolist() == [3]
 
 
+def test_windows_that_are_noisy_themselves_tell_by_what_most_of_a_block_say() -> None:
+    """Two of five points lie anywhere, the others about 2 px from the truth; a block is 3.5 px off."""
+    merged = _bent(3.5)
+    rng = np.random.default_rng(4)
+    there = merged.matches.secondary_xy + rng.normal(0, 1.5, (1000, 2))
+    wild = rng.random(1000) < 0.4
+    there[wild] += rng.uniform(-12, 12, (int(wild.sum()), 2))
+    merged = replace(
+        merged,
+        matches=replace(merged.matches, secondary_xy=there),
+        refined=Matches.empty(),
+        refined_blocks=np.zeros(0, np.int64),
+    )
+    errors = block_errors(merged, Translation(0.0, 0.0), 25)
+    assert errors[12] == pytest.approx(3.5, abs=1.0)
+    others = np.delete(errors, 12)
+    assert np.isfinite(others).sum() > 18
+    assert np.nanmax(others) < 1.5
+
+
 @pytest.fixture(scope="module")
 def hills(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """A pair over 300 m of relief, seen under angles so different that no affine model follows it."""
