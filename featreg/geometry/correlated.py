@@ -9,9 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from featreg.errors import InputError
-from featreg.geometry.base import normalise
-from featreg.geometry.corrected import CorrectedModel
-from featreg.geometry.uncertainty import GROUPS, derivatives, refitted_covariance
+from featreg.geometry.uncertainty import GROUPS, LEAST_PIVOT, Linearised, linearised, refitted_covariance
 from featreg.interfaces import FailedFit, Model
 from featreg.types import FloatArray
 
@@ -87,52 +85,47 @@ def correlated_covariance(
     H. D. Patterson, R. Thompson, "Recovery of inter-block information when block sizes are unequal", Biometrika 58
     (1971) 545, DOI 10.1093/biomet/58.3.545
     """
-    points = np.asarray(at, np.float64)
-    if isinstance(model, CorrectedModel):
-        mapped, there = model.known(reference_xy), model.known(points)
-        if not (np.isfinite(mapped).all() and np.isfinite(there).all()):
-            return FailedFit("the known map does not reach all points")
-        return correlated_covariance(model.correction, mapped, secondary_xy, weights, at=there)
-    n = normalise(reference_xy, secondary_xy, weights, model.minimum, spread=False)
-    if isinstance(n, FailedFit):
-        return n
-    here = n.reference * n.reference_scale + n.reference_centre
-    error = n.secondary * n.secondary_scale + n.secondary_centre - model(here)
-    place, variance, weight, number, mean, design = _gathered(here, error, derivatives(model, here, n), n.weights)
-    count = design.shape[2]
+    known = linearised(model, reference_xy, secondary_xy, weights, at=at)
+    return known if isinstance(known, FailedFit) else correlated_prediction(known)
+
+
+def correlated_prediction(known: Linearised) -> Predicted | FailedFit:
+    """Return `correlated_covariance` of a fit that was made linear."""
+    from featreg.geometry.correlated_kernels import estimators
+
+    place, variance, weight, number, mean, design = _gathered(known)
+    count, points = design.shape[2], len(known.at)
     dof = 2 * len(place) - count
     if dof < 1:
         return FailedFit(f"tie points in {len(place)} places leave no degree of freedom beside {count} parameters")
-    normal = np.einsum("c,cap,caq->pq", weight, design, design)
-    if not np.linalg.cond(normal) < 1e14:
+    estimator = np.empty((count, len(place), 2))
+    if not estimators(weight, design, LEAST_PIVOT, estimator):
         return FailedFit(f"the tie points do not determine the {count} parameters")
-    side = float(np.ptp(here, axis=0).max())
+    side = float(np.ptp(known.here, axis=0).max())
     lengths, parts, own, shared = _candidates(place, variance, weight, number, side)
-    estimator = np.linalg.solve(normal, (design * weight[:, None, None]).transpose(2, 0, 1).reshape(count, -1))
     # How much a shift of each cell along each axis moves each mapped point along each axis: (N, 2, 2, C).
-    weighing = (derivatives(model, points, n) @ estimator).reshape(len(points), 2, -1, 2).transpose(0, 1, 3, 2)
-    rows = weighing.reshape(len(points), 2, -1)
+    moved = known.at.reshape(-1, count) @ estimator.reshape(count, -1)
+    weighing = np.ascontiguousarray(moved.reshape(points, 2, -1, 2).transpose(0, 1, 3, 2))
+    rows = weighing.reshape(points, 2, -1)
     lines = weighing.reshape(-1, len(place))
     both = np.concatenate([design, mean[:, :, None]], axis=2)
     made = _whitened(own, shared, both, lines.T @ lines)
     if made is None:
         return FailedFit("the tie points lie too close together for any correlation of their errors")
-    square, logs, traces = made
-    information, moment = square[:, :count, :count], square[:, :count, count]
-    fitted = np.linalg.solve(information, moment[:, :, None])[:, :, 0]
-    variances = np.maximum(square[:, count, count] - (fitted * moment).sum(axis=1), 0) / dof
+    left, logs, traces = made
+    variances = left / dof
     if not variances.max() > 0:
-        return Predicted(np.zeros((len(points), 2, 2)), float(dof), 0.0, 0.0)
-    halves = 2 * 2 * logs + np.linalg.slogdet(information)[1]
-    likelihood = -0.5 * (halves + dof * np.log(np.maximum(variances, 1e-30 * variances.max())))
+        return Predicted(np.zeros((points, 2, 2)), float(dof), 0.0, 0.0)
+    likelihood = -0.5 * (logs + dof * np.log(np.maximum(variances, 1e-30 * variances.max())))
     share = np.exp(likelihood - likelihood.max())
     # As likely beforehand: no correlation, and all candidates with one together.
     share[1:] /= len(share) - 1
     share /= share.sum()
     chosen = share * variances
     of_pairs = chosen[1:].reshape(len(shared), -1) @ SHARED
-    of_cells = np.diag(own * chosen.sum()) + np.tensordot(of_pairs, shared, 1)
-    covariance = (weighing @ of_cells).reshape(rows.shape) @ rows.transpose(0, 2, 1)
+    of_cells = (of_pairs @ shared.reshape(len(shared), -1)).reshape(len(place), len(place))
+    of_cells.flat[:: len(place) + 1] += own * chosen.sum()
+    covariance = (lines @ of_cells).reshape(rows.shape) @ rows.transpose(0, 2, 1)
     each = variances * traces
     middle = float(share @ each)
     widened = _interval(each / middle, share) if middle > 0 else 1.0
@@ -146,18 +139,10 @@ def correlated_covariance(
 
 def _interval(variances: FloatArray, share: FloatArray) -> float:
     """Standard deviation of the normal error whose 95 % interval is that of the mixture of these variances."""
+    from featreg.geometry.correlated_kernels import interval
+
     likely = share > 1e-5
-    deviation, share = np.sqrt(np.maximum(variances[likely], 1e-12)), share[likely] / share[likely].sum()
-    # What lies outside falls along a curve that bends upwards: Newton's steps come from below and never go beyond.
-    width = float(deviation.min())
-    for _ in range(50):
-        within = Z95 / math.sqrt(2) * width / deviation
-        outside = float(share @ [math.erfc(one) for one in within.tolist()]) - 0.05
-        step = outside * width / float(share @ (2 / math.sqrt(math.pi) * within * np.exp(-(within**2))))
-        width += step
-        if step < 1e-9 * width:
-            break
-    return width
+    return interval(np.maximum(variances[likely], 1e-12), share[likely] / share[likely].sum(), Z95, 0.05)
 
 
 def prediction(
@@ -180,34 +165,31 @@ def prediction(
 
 
 def _gathered(
-    xy: FloatArray, error: FloatArray, design: FloatArray, weights: FloatArray
+    known: Linearised,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Gather tie points in cells.
 
     Returns
     -------
-    place, variance, weight, number, mean, design : (C, 2) px, (C,) px^2 along either axis of the places about it, (C,)
-        sum, (C,) of independent ones of equal weight, (C, 2) px mean error, (C, 2, P) mean derivatives
+    place, variance, weight, number, mean, design : (C, 2) px from the corner of their box, (C,) px^2 along either axis
+        of the places about it, (C,) sum, (C,) of independent ones of equal weight, (C, 2) px mean error, (C, 2, P) mean
+        derivatives
     """
-    from featreg.geometry.correlated_kernels import group_sums
+    from featreg.geometry.correlated_kernels import gathered
 
-    low = xy.min(axis=0)
-    side = max(float((xy.max(axis=0) - low).max()), 1e-9) / CELLS
-    column, row = np.minimum(((xy - low) / side).astype(np.int64), CELLS - 1).T
-    cell = row * CELLS + column
-    # Places from the corner of the box, so that their variance keeps its digits.
-    near = xy - low
-    values = np.column_stack(
-        [np.ones(len(xy)), weights, near, (near**2).sum(axis=1), error, design.reshape(len(xy), -1)]
-    )
-    sums = np.zeros((CELLS * CELLS, values.shape[1]))
-    group_sums(values, np.ascontiguousarray(weights), cell, sums)
+    low = known.here.min(axis=0)
+    side = max(float((known.here.max(axis=0) - low).max()), 1e-9) / CELLS
+    count = known.design.shape[2]
+    sums = np.empty((CELLS, CELLS, 7 + 2 * count))
+    gathered(known.here, known.error, known.design, known.weights, low, side, sums)
+    sums = sums.reshape(CELLS * CELLS, -1)
     sums = sums[sums[:, 0] > 0]
     total = sums[:, 0]
     mean = sums[:, 2:] / total[:, None]
-    variance = np.maximum(mean[:, 2] - (mean[:, :2] ** 2).sum(axis=1), 0) / 2
-    place, number = mean[:, :2] + low, total**2 / sums[:, 1]
-    return place, variance, total, number, mean[:, 3:5], mean[:, 5:].reshape(len(total), *design.shape[1:])
+    place = mean[:, :2]
+    variance = np.maximum(mean[:, 2] - (place**2).sum(axis=1), 0) / 2
+    design = np.ascontiguousarray(mean[:, 5:]).reshape(len(total), 2, count)
+    return place, variance, total, total**2 / sums[:, 1], mean[:, 3:5], design
 
 
 def _candidates(
@@ -239,12 +221,14 @@ def _candidates(
 def _whitened(
     own: FloatArray, shared: FloatArray, both: FloatArray, outer: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """Of each candidate: (K, P + 1, P + 1) squares of the whitened rows of `both` (C, 2, P + 1), (K,) sum of the
-    logarithms of its root's diagonal, (K,) sum of `outer` (C, C) times it; None where one has no root."""
+    """Of each candidate (K,): the sum of squares of the errors that a fit leaves, its logarithms of determinants, the
+    sum of `outer` (C, C) times it, from the rows of `both` (C, 2, P + 1); None where one has no root."""
     from featreg.geometry.correlated_kernels import whitened
 
-    many, side = 1 + len(shared) * len(SHARED), both.shape[2]
-    squares, logs, traces = np.empty((many, side, side)), np.empty(many), np.empty(many)
-    flat = np.ascontiguousarray(both.reshape(len(own), -1))
-    good = whitened(own, shared, np.array(SHARED), flat, np.ascontiguousarray(outer), squares, logs, traces)
-    return (squares, logs, traces) if good else None
+    many = 1 + len(shared) * len(SHARED)
+    left, logs = np.empty(many), np.empty(many)
+    if not whitened(own, shared, np.array(SHARED), both.reshape(len(own), -1), left, logs):
+        return None
+    alone = float(own @ outer.diagonal())
+    together = np.multiply.outer(shared.reshape(len(shared), -1) @ outer.ravel(), SHARED).ravel()
+    return left, logs, np.append(alone, alone + together)

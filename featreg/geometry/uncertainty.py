@@ -19,6 +19,8 @@ from featreg.types import FloatArray, IntArray
 
 #: No tie point is known better than this, px.
 FINEST_PX = 0.05
+#: Points determine a model where no pivot of its normal equations is less than so much of what it was.
+LEAST_PIVOT = 1e-12
 #: Parts of the points of which one after the other is left out of a fit.
 GROUPS = 16
 
@@ -188,36 +190,33 @@ def regional_covariance(
     ----------
     P. S. Kott, "The delete-a-group jackknife", J. Official Statistics 17 (2001) 521.
     """
-    from featreg.geometry.correlated_kernels import group_normals
+    known = linearised(model, reference_xy, secondary_xy, weights, at=at)
+    if isinstance(known, FailedFit):
+        return known
+    return left_out_covariance(known, np.unique(region, return_inverse=True)[1].astype(np.int64), known.weights)
 
-    points = np.asarray(at, np.float64)
-    if isinstance(model, CorrectedModel):
-        mapped, there = model.known(reference_xy), model.known(points)
-        if not (np.isfinite(mapped).all() and np.isfinite(there).all()):
-            return FailedFit("the known map does not reach all points")
-        return regional_covariance(model.correction, mapped, secondary_xy, region, weights, at=there)
-    n = normalise(reference_xy, secondary_xy, None, model.minimum, spread=False)
-    if isinstance(n, FailedFit):
-        return n
-    numbers, group = np.unique(region, return_inverse=True)
-    if len(numbers) < 3:
-        return FailedFit(f"the points lie in {len(numbers)} regions, 3 are needed")
-    design = derivatives(model, reference_xy, n)
-    error = secondary_xy - model(reference_xy)
+
+def left_out_covariance(
+    known: Linearised, region: IntArray, weights: FloatArray | None = None
+) -> FloatArray | FailedFit:
+    """Return `regional_covariance` of a fit that was made linear: of points of equal weight, or of `weights` (M,).
+
+    Numbers of regions are few, from 0 on.
+    """
+    from featreg.geometry.correlated_kernels import left_out
+
+    design, error = known.design, known.error
     if weights is not None:
-        root = np.sqrt(weights / weights.mean())
+        root = np.sqrt(weights)
         design, error = design * root[:, None, None], error * root[:, None]
-    count = design.shape[2]
-    normal, moment = np.zeros((len(numbers), count, count)), np.zeros((len(numbers), count))
-    group_normals(np.ascontiguousarray(design), error, group, normal, moment)
-    rest = normal.sum(axis=0) - normal
-    if np.linalg.cond(rest).max() > 1e12:
+    count = int(region.max()) + 1
+    covariance = np.empty((len(known.at), 2, 2))
+    held = left_out(design, error, region, count, known.at, LEAST_PIVOT, covariance)
+    if 0 <= held < 3:
+        return FailedFit(f"the points lie in {held} regions, 3 are needed")
+    if held < 0:
         return FailedFit("the points outside one region do not determine the model")
-    step = np.linalg.solve(rest, (moment.sum(axis=0) - moment)[:, :, None])[:, :, 0]
-    there = derivatives(model, points, n)
-    departure = np.einsum("nap,kp->nak", there, step - step.mean(axis=0))
-    share = (len(numbers) - 1) / len(numbers)
-    return np.asarray(share * departure @ departure.transpose(0, 2, 1))
+    return np.asarray(covariance * ((held - 1) / held))
 
 
 def refitted_covariance(
@@ -268,11 +267,71 @@ def inverse_variances(covariance: FloatArray | None) -> FloatArray | None:
     return np.asarray(1 / (np.where(known, variance, np.median(variance[known])) + FINEST_PX**2))
 
 
-def derivatives(model: Model, xy: FloatArray, n: Normalised) -> FloatArray:
-    """(N, 2, P) derivatives of the mapped points by parameters that span the model's freedom, in units of the fit."""
-    unit = (xy - n.reference_centre) / n.reference_scale
-    mapped = (model(xy) - n.secondary_centre) / n.secondary_scale
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """A fit that is taken as linear around its model.
+
+    Parameters
+    ----------
+    here : (M, 2) px, the tie points in the reference, or where a known map takes them
+    error : (M, 2) px, those in the secondary less where the model maps them
+    weights : (M,) relative inverse variances of mean 1
+    design, at : (M, 2, P) and (N, 2, P), `derivatives` at the tie points and at other points
+    """
+
+    here: FloatArray
+    error: FloatArray
+    weights: FloatArray
+    design: FloatArray
+    at: FloatArray
+
+
+def linearised(
+    model: Model,
+    reference_xy: FloatArray,
+    secondary_xy: FloatArray,
+    weights: FloatArray | None = None,
+    *,
+    at: ArrayLike,
+) -> Linearised | FailedFit:
+    """Return a fitted model made linear; parameters, and what is raised, as of `regional_covariance`.
+
+    Tie points of weight 0 are left out.
+    """
+    points = np.asarray(at, np.float64)
+    if isinstance(model, CorrectedModel):
+        mapped, there = model.known(reference_xy), model.known(points)
+        if not (np.isfinite(mapped).all() and np.isfinite(there).all()):
+            return FailedFit("the known map does not reach all points")
+        return linearised(model.correction, mapped, secondary_xy, weights, at=there)
+    n = normalise(reference_xy, secondary_xy, weights, model.minimum, spread=False)
+    if isinstance(n, FailedFit):
+        return n
+    here, there = np.asarray(reference_xy, np.float64), np.asarray(secondary_xy, np.float64)
+    if len(n.weights) < len(here):
+        used = np.asarray(weights, np.float64) > 0
+        here, there = here[used], there[used]
+    mapped = model(here)
+    return Linearised(
+        np.ascontiguousarray(here),
+        np.asarray(there - mapped),
+        n.weights,
+        np.ascontiguousarray(derivatives(model, here, n, mapped)),
+        np.ascontiguousarray(derivatives(model, points, n)),
+    )
+
+
+def derivatives(model: Model, xy: FloatArray, n: Normalised, mapped: FloatArray | None = None) -> FloatArray:
+    """(N, 2, P) derivatives of the mapped points by parameters that span the model's freedom, in units of the fit.
+
+    `mapped` is where the model maps the points, where that is known.
+    """
     one = np.ones(len(xy))
+    unit = (xy - n.reference_centre) / n.reference_scale
+    if isinstance(model, Affine | Polynomial):
+        mapped = unit  # of no matter to what is linear in its parameters
+    else:
+        mapped = ((model(xy) if mapped is None else mapped) - n.secondary_centre) / n.secondary_scale
     if isinstance(model, Translation | Rigid | Similarity):
         out = np.zeros((len(xy), 2, 4))
         out[:, 0, 0] = out[:, 1, 1] = one

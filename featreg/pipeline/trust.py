@@ -16,6 +16,8 @@ import numpy as np
 
 from featreg.errors import ParameterError
 from featreg.geometry import Affine, Predicted, decompose, inverse_variances, spread
+from featreg.geometry.correlated import correlated_prediction
+from featreg.geometry.uncertainty import Linearised
 from featreg.interfaces import FailedFit, Model
 from featreg.pipeline.trust_measures import (
     apart,
@@ -25,6 +27,7 @@ from featreg.pipeline.trust_measures import (
     distortion,
     held_out,
     instability,
+    linear_fit,
     log10_chance,
     model_uncertainty,
     predicted,
@@ -196,11 +199,20 @@ class Evidence:
         return None if covariance is None else inverse_variances(covariance[self.inliers])
 
     @cached_property
+    def linear(self) -> Linearised | FailedFit | None:
+        """The final fit, made linear around its model; None for a model without known derivatives."""
+        if isinstance(self.model, FailedFit):
+            return self.model
+        return linear_fit(self.model, self.here, self.there, self.reference_shape, self.weights)
+
+    @cached_property
     def predicted(self) -> Predicted | FailedFit:
         """What is known of where the model maps a grid over the reference."""
         if isinstance(self.model, FailedFit):
             return self.model
-        return predicted(self.model, self.here, self.there, self.reference_shape, self.weights)
+        if self.linear is None:
+            return predicted(self.model, self.here, self.there, self.reference_shape, self.weights)
+        return self.linear if isinstance(self.linear, FailedFit) else correlated_prediction(self.linear)
 
     @property
     def correlation_px(self) -> float:
@@ -261,7 +273,7 @@ CONDITIONS = (
     Condition(
         "stability",
         "error of the model over the image by leaving out regions of tie points, px",
-        lambda e, model: instability(model, e.here, e.there, e.reference_shape, e.correlation_px),
+        lambda e, model: instability(e.linear, e.correlation_px),
         lambda limits, e: (None, e.most_moved(limits)),
     ),
     Condition(

@@ -18,21 +18,25 @@ from featreg.geometry import (
     dilution,
     local_linear,
     prediction,
-    regional_covariance,
 )
 from featreg.geometry.cells import cells
-from featreg.geometry.robust import irls
+from featreg.geometry.robust import KINDS, MEDIAN_LENGTH, TUKEY, irls
+from featreg.geometry.uncertainty import Linearised, left_out_covariance, linearised
 from featreg.interfaces import FailedFit, Model
 from featreg.types import BoolArray, FloatArray, IntArray, Matches
 
 # Side in px of the cells in which tie points are counted once.
 DISTINCT_PX = 6.0
+# Two numbers of cells below this fit in one of 64 bits.
+PAIRED = math.isqrt((1 << 63) - 1)
+# Places along each side of an image at which a model is judged.
+FIFTHS = np.linspace(0.0, 1.0, 5)
 # Regions along each side of the tie points' bounding box that are left out in turn.
 REGIONS = 4
 # Tie points this near to a model tell how it is distorted; their errors in px are not told apart below the second.
 NEAR_PX, AFFINE_SCALE_PX = 8.0, 0.6
 # Most of them, the least that they tell, px, and the models that are freer than others by what an image pair may need.
-MOST_NEAR, LEAST_MISFIT_PX = 300, 1.0
+MOST_NEAR, LEAST_MISFIT_PX, FREER_ROUNDS = 300, 1.0, 3
 _FREER: Mapping[type[Model], type[Model]] = {Translation: Affine, Rigid: Affine, Similarity: Affine, Affine: Homography}
 # The robust fits to halves of the tie points: errors in px below this are not told apart; their rounds.
 SCALE_PX, HELD_OUT_ROUNDS = 0.3, 3
@@ -81,7 +85,7 @@ def log10_chance(
     m = model.minimum
     if k <= m:
         return 0.0
-    reach = max(3.0, float(np.percentile(model.residuals(here, there), 95)))
+    reach = max(3.0, _quantile(model.residuals(here, there), 0.95))
     p = min(1.0, math.pi * (reach + DISTINCT_PX / 2) ** 2 / (secondary_shape[0] * secondary_shape[1]))
     return math.log10(max(n - m, 1)) + _log10_choose(n, k) + _log10_choose(k, m) + (k - m) * math.log10(p)
 
@@ -89,9 +93,22 @@ def log10_chance(
 def _moves(reference_xy: FloatArray, secondary_xy: FloatArray) -> int:
     """Number of distinct (reference cell, secondary cell) pairs."""
     here, there = (cells(xy, DISTINCT_PX) for xy in (reference_xy, secondary_xy))
+    if not len(here):
+        return 0
+    low, high = (min(here.min(), there.min()), max(here.max(), there.max()))
+    if high - low < PAIRED:
+        return _different((here - low) * PAIRED + (there - low))
     order = np.lexsort([here, there])
     here, there = here[order], there[order]
-    return int(np.count_nonzero((here[1:] != here[:-1]) | (there[1:] != there[:-1]))) + 1 if len(order) else 0
+    return int(np.count_nonzero((here[1:] != here[:-1]) | (there[1:] != there[:-1]))) + 1
+
+
+def _quantile(values: FloatArray, share: float) -> float:
+    """A quantile of some values as numpy interpolates it, in a quarter of the time."""
+    place = share * (len(values) - 1)
+    low = int(place)
+    ranked = np.partition(values, (low, min(low + 1, len(values) - 1)))
+    return float(ranked[low] + (place - low) * (ranked[min(low + 1, len(values) - 1)] - ranked[low]))
 
 
 def _log10_choose(n: int, k: int) -> float:
@@ -134,49 +151,67 @@ def misfit(
     points within 8 px of the model, at most 300. Below 1 px, the `error` of the model in px or twice that of the
     freer one, it is none.
     """
+    from featreg.pipeline import trust_kernels as kernels
+
     freer = _FREER.get(type(model))
     if freer is None:
         return 0.0
     near = np.flatnonzero(model.residuals(reference_xy, secondary_xy) <= NEAR_PX)
     near = near[:: max(1, -(-len(near) // MOST_NEAR))]
-    here, there = reference_xy[near], secondary_xy[near]
-    other, weights = irls(freer, here, there, scale_px=AFFINE_SCALE_PX, iterations=3)
-    if isinstance(other, FailedFit):
-        return 0.0
+    here, there = (np.ascontiguousarray(xy[near]) for xy in (reference_xy, secondary_xy))
     grid = _grid(shape)
-    beyond = float(np.sqrt(((other(grid) - model(grid)) ** 2).sum(axis=1).mean()))
-    if not beyond > max(error, LEAST_MISFIT_PX):
+    weights = np.empty(len(near))
+    moved = kernels.beyond(
+        KINDS[freer], freer.minimum, here, there, TUKEY / MEDIAN_LENGTH, AFFINE_SCALE_PX * MEDIAN_LENGTH, FREER_ROUNDS,
+        grid, model(grid), weights,
+    )  # fmt: skip
+    if not moved > max(error, LEAST_MISFIT_PX):
+        return 0.0
+    other = freer.from_estimate(here, there, weights)
+    if isinstance(other, FailedFit):
         return 0.0
     used = weights > 0
     own = predicted(other, here[used], there[used], shape)
     sure = _overall(own if isinstance(own, FailedFit) else own.covariance)
-    return math.sqrt(beyond**2 - sure**2) if beyond > 2 * sure else 0.0
+    return math.sqrt(moved**2 - sure**2) if moved > 2 * sure else 0.0
 
 
 def _grid(shape: tuple[int, int]) -> FloatArray:
     """(25, 2) points of a 5 x 5 grid over an image of (H, W)."""
-    x, y = np.meshgrid(np.linspace(0, shape[1] - 1, 5), np.linspace(0, shape[0] - 1, 5))
-    return np.column_stack([x.ravel(), y.ravel()])
+    grid = np.empty((5, 5, 2))
+    grid[:, :, 0] = FIFTHS * (shape[1] - 1)
+    grid[:, :, 1] = FIFTHS[:, None] * (shape[0] - 1)
+    return grid.reshape(-1, 2)
 
 
-def instability(
-    model: Model, reference_xy: FloatArray, secondary_xy: FloatArray, shape: tuple[int, int], length: float = 0.0
-) -> float | None:
+def linear_fit(
+    model: Model,
+    reference_xy: FloatArray,
+    secondary_xy: FloatArray,
+    shape: tuple[int, int],
+    weights: FloatArray | None = None,
+) -> Linearised | FailedFit | None:
+    """A fit made linear around its model, over a 5 x 5 grid of an image of (H, W); None without known derivatives."""
+    try:
+        return linearised(model, reference_xy, secondary_xy, weights, at=_grid(shape))
+    except InputError:
+        return None
+
+
+def instability(known: Linearised | FailedFit | None, length: float = 0.0) -> float | None:
     """Root mean square error in pixels of where a model maps a 5 x 5 grid over an image, by leaving out regions.
 
     Each of 4 x 4 regions of the tie points' bounding box is left out in turn, or of 3 x 3 where the errors of tie
     points are correlated over a `length` in px of more than a quarter of it. NaN where it cannot be told; None for a
     model without known derivatives (a residual field, one of another package), which may follow each region by itself.
     """
-    if not len(reference_xy):
-        return math.nan
-    extent = float(np.ptp(reference_xy, axis=0).max())
-    region = _regions(reference_xy, REGIONS - 1 if length * REGIONS > extent else REGIONS)
-    try:
-        covariance = regional_covariance(model, reference_xy, secondary_xy, region, at=_grid(shape))
-    except InputError:
+    if known is None:
         return None
-    return _overall(covariance)
+    if isinstance(known, FailedFit):
+        return math.nan
+    extent = float(np.ptp(known.here, axis=0).max())
+    region = _regions(known.here, REGIONS - 1 if length * REGIONS > extent else REGIONS)
+    return _overall(left_out_covariance(known, region))
 
 
 def distortion(
@@ -231,10 +266,17 @@ def held_out(kind: type[Model], reference_xy: FloatArray, secondary_xy: FloatArr
     The halves are the two colours of a chessboard of 4 x 4 regions over the bounding box, so that neighbours, which
     share errors, do not vouch for each other. Models are fitted as those of the result are, robustly.
     """
+    from featreg.pipeline import trust_kernels as kernels
+
     region = _regions(reference_xy)
     half = (region // REGIONS + region % REGIONS) % 2 == 0
     if not half.any() or half.all():
         return math.nan
+    if kind in KINDS:
+        here, there = np.ascontiguousarray(reference_xy), np.ascontiguousarray(secondary_xy)
+        tuning, least = TUKEY / MEDIAN_LENGTH, SCALE_PX * MEDIAN_LENGTH
+        found = kernels.held_out(KINDS[kind], kind.minimum, here, there, half, tuning, least, HELD_OUT_ROUNDS)
+        return found if found >= 0 else math.nan
     residuals = []
     for fitted in (half, ~half):
         model, _ = irls(kind, reference_xy[fitted], secondary_xy[fitted], scale_px=SCALE_PX, iterations=HELD_OUT_ROUNDS)

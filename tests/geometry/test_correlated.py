@@ -142,9 +142,26 @@ def test_compiled_candidates_are_the_formulas() -> None:
     assert found is not None
     root = np.linalg.cholesky(candidates)
     white = np.linalg.solve(root, both.reshape(1, 30, -1)).reshape(len(root), -1, 5)
-    np.testing.assert_allclose(found[0], white.transpose(0, 2, 1) @ white, rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(found[1], np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1), rtol=1e-9)
+    squares = white.transpose(0, 2, 1) @ white
+    information, moment = squares[:, :4, :4], squares[:, :4, 4]
+    left = squares[:, 4, 4] - (np.linalg.solve(information, moment[:, :, None])[:, :, 0] * moment).sum(axis=1)
+    np.testing.assert_allclose(found[0], left, rtol=1e-9)
+    logs = 4 * np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1) + np.linalg.slogdet(information)[1]
+    np.testing.assert_allclose(found[1], logs, rtol=1e-9)
     np.testing.assert_allclose(found[2], np.tensordot(candidates, outer, 2), rtol=1e-9)
+
+
+def test_compiled_estimators_are_those_of_the_normal_equations() -> None:
+    from featreg.geometry.correlated_kernels import estimators
+
+    rng = np.random.default_rng(1)
+    design, weight, found = rng.normal(size=(9, 2, 4)), rng.uniform(1, 5, 9), np.empty((4, 9, 2))
+    assert estimators(weight, design, 1e-12, found)
+    normal = np.einsum("c,cap,caq->pq", weight, design, design)
+    wanted = np.linalg.solve(normal, (design * weight[:, None, None]).transpose(2, 0, 1).reshape(4, -1))
+    np.testing.assert_allclose(found.reshape(4, -1), wanted, rtol=1e-9, atol=1e-12)
+    design[:, :, 3] = design[:, :, 2]
+    assert not estimators(weight, design, 1e-12, found)
 
 
 def test_models_without_derivatives_are_fitted_anew() -> None:
@@ -160,18 +177,24 @@ def test_models_without_derivatives_are_fitted_anew() -> None:
 
 
 def test_compiled_sums_are_those_of_each_group() -> None:
-    from featreg.geometry.correlated_kernels import group_normals, group_sums
+    from featreg.geometry.correlated_kernels import gathered, group_normals
 
     rng = np.random.default_rng(6)
-    group, weights = rng.integers(0, 5, 90), rng.uniform(0.5, 2, 90)
-    values, design, error = rng.normal(size=(90, 7)), rng.normal(size=(90, 2, 6)), rng.normal(size=(90, 2))
+    here, weights = rng.uniform(10, 130, (90, 2)), rng.uniform(0.5, 2, 90)
+    design, error = rng.normal(size=(90, 2, 6)), rng.normal(size=(90, 2))
     design[:, 0, 3:] = design[:, 1, :3] = 0
-    sums, normal, moment = np.zeros((5, 7)), np.zeros((5, 6, 6)), np.zeros((5, 6))
-    group_sums(values, weights, group, sums)
+    low, side = here.min(axis=0), 40.0
+    sums, normal, moment = np.empty((3, 3, 19)), np.zeros((9, 6, 6)), np.zeros((9, 6))
+    gathered(here, error, design, weights, low, side, sums)
+    column, row = np.minimum((here - low) // side, 2).astype(np.int64).T
+    group = row * 3 + column
     group_normals(design, error, group, normal, moment)
-    for g in range(5):
+    values = np.column_stack([here - low, ((here - low) ** 2).sum(axis=1), error, design.reshape(90, -1)])
+    for g in range(9):
         mine = group == g
-        np.testing.assert_allclose(sums[g], weights[mine] @ values[mine], atol=1e-12)
+        total = sums[g // 3, g % 3]
+        np.testing.assert_allclose(total[:2], [weights[mine].sum(), (weights[mine] ** 2).sum()], atol=1e-12)
+        np.testing.assert_allclose(total[2:], weights[mine] @ values[mine], atol=1e-9)
         rows = design[mine].reshape(-1, 6)
         np.testing.assert_allclose(normal[g], rows.T @ rows, atol=1e-12)
         np.testing.assert_allclose(moment[g], rows.T @ error[mine].ravel(), atol=1e-12)
