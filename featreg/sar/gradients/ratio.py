@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,8 +29,8 @@ FLOOR = 1e-2
 LEAST_SUPPORT = 0.02
 # An edge map that nowhere reaches this log ratio holds rounding errors.
 LEAST_EDGE = 1e-3
-# Pixels from which the quantiles of an edge map are taken.
-SAMPLE = 5_000
+# Pixels from which quantiles of an edge map are taken, and which.
+SAMPLE, RANKS = 5_000, (0.5, 0.999)
 # Steps of a length for one of the natural logarithm: lengths stay below 5.
 STEPS = 8192
 # Rows and columns of the tiles whose sums stay in the cache, and over how many alpha what decays is rounding.
@@ -203,31 +202,40 @@ def quantised_edges(
 
     255 stands for the 99.9th percentile of the edge strength or five times its median, whichever is less, and for all
     above: neither a single ship nor the rim of a black border may darken all other edges. Without `clip` 255 stands for
-    the greatest strength. Invalid pixels count as the
-    mean amplitude, so the map is right to 1 % only where these are at least five alpha away; without `eq5`, that is,
-    which takes the exact gradients.
+    the greatest strength. Invalid pixels count as the mean amplitude, so the map is right to 1 % only where these are
+    at least five alpha away; without `eq5`, that is, which takes the exact gradients.
     """
     import cv2
 
-    strength: NDArray[Any]
+    strength: F32 | U16
     if eq5:
         strength = edge_strength(*ratio_gradients(image, alpha, floor), eq5=True)
         least = LEAST_EDGE
     else:
         strength = roewa_strength(filled_amplitude(image), alpha, floor, mean_amplitude(image))
         least = LEAST_EDGE * STEPS
-    step = max(1, math.isqrt(strength.size // SAMPLE))
-    sample = strength[::step, ::step][image.mask[::step, ::step]]
-    if not sample.size:
-        return np.zeros(image.shape, np.uint8)
-    middle, high = sample.size // 2, int(0.999 * (sample.size - 1))
-    ranked = np.partition(sample, [middle, high])
-    top = min(float(ranked[high]), 5 * float(ranked[middle])) or float(ranked[high])
-    if not clip:
-        top = float(strength[image.mask].max())
+    if clip:
+        middle, high = _quantiles(strength, image.mask)
+        top = min(high, 5 * middle) or high
+    else:
+        top = float(strength[image.mask].max(initial=0))
     if not top > least:
         return np.zeros(image.shape, np.uint8)
     return np.asarray(cv2.convertScaleAbs(strength, alpha=255.0 / top), np.uint8)
+
+
+def _quantiles(strength: F32 | U16, mask: BoolArray) -> tuple[float, float]:
+    """Median and 99.9th percentile of some of the valid pixels; 0 where there are none."""
+    from featreg.sar.gradients import ratio_kernels
+
+    step = max(1, math.isqrt(strength.size // SAMPLE))
+    if strength.dtype == np.uint16:
+        values = np.empty(2)
+        ratio_kernels.ranked(strength.view(np.uint16), mask.view(np.uint8), step, np.array(RANKS), values)
+        return float(values[0]), float(values[1])
+    sample = strength[::step, ::step][mask[::step, ::step]]
+    places = [int(share * (sample.size - 1)) for share in RANKS]
+    return tuple(np.partition(sample, places)[places].tolist()) if sample.size else (0.0, 0.0)
 
 
 @lru_cache(maxsize=64)

@@ -157,7 +157,8 @@ def in_order(at: I64, values: U8, width: int, xy: I64, score: U8) -> None:
         to = place[values[i]]
         place[values[i]] += 1
         if to < score.shape[0]:
-            xy[to, 0], xy[to, 1] = at[i] % width, at[i] // width
+            y = at[i] // width
+            xy[to, 0], xy[to, 1] = at[i] - y * width, y
             score[to] = values[i]
 
 

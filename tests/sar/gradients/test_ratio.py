@@ -293,3 +293,16 @@ def test_very_small_and_very_large_amplitudes_have_the_same_ratios(sar_texture: 
     for found, wanted in zip(roewa(other, 2.0), roewa(amplitude, 2.0), strict=True):
         np.testing.assert_allclose(found, wanted, atol=1e-5)
     assert np.abs(roewa_strength(other, 2.0).astype(int) - roewa_strength(amplitude, 2.0)).max() <= 1
+
+
+@pytest.mark.parametrize("valid", [1.0, 0.7, 0.0])
+def test_the_scale_of_the_edges_is_told_by_the_valid_ones(sar_texture: Texture, valid: float) -> None:
+    strength = roewa_strength(sar_texture(500, 610), 2.0)
+    mask = np.random.default_rng(0).random(strength.shape) < valid
+    found = ratio._quantiles(strength, mask)
+    plain = ratio._quantiles(strength.astype(np.float32), mask)
+    assert all(0 <= b - a < 4 for a, b in zip(found, plain, strict=True))
+    step = int(np.sqrt(strength.size / ratio.SAMPLE))
+    sample = strength[::step, ::step][mask[::step, ::step]]
+    wanted = np.quantile(sample, ratio.RANKS, method="lower") if sample.size else [0, 0]
+    np.testing.assert_array_equal(plain, wanted)
