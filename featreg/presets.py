@@ -291,7 +291,9 @@ PRESETS: dict[str, Preset] = {
     ),
     "bfsift-paper": Preset(
         "SIFT in an exact bilateral scale space without the finest scale, after Wang et al. 2012, mutual, RANSAC",
-        detector=Part("bf-sift", {**_PAPER_BILATERAL, "quota_decay": 1.0, "orientation_scale": 1.0, "skip": 1}),
+        detector=Part(
+            "bf-sift", {**_PAPER_BILATERAL, "quota_decay": 1.0, "orientation_scale": 1.0, "thin": False, "skip": 1}
+        ),
         descriptor=Part("bf-sift", {**_PAPER_BILATERAL, "coarser": 1.0, "harmonics": 4}),
         nearest=Part("brute-force"),
         filters=(Part("ransac"),),

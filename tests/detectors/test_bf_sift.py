@@ -18,7 +18,7 @@ from featreg.sar.gradients.bilateral import (
     BilateralSpace,
     bilateral_extrema,
     bilateral_field,
-    bilateral_levels,
+    bilateral_level,
     noise_level,
 )
 from featreg.sar.gradients.gradient_field import from_base
@@ -59,6 +59,11 @@ def nearest_level(image: Image, space: BilateralSpace, sigma: float) -> tuple[Im
 
 
 # Scale space
+
+
+def bilateral_levels(picture: Image, space: BilateralSpace) -> NDArray[np.float32]:
+    """All levels of an octave, one behind the other."""
+    return np.stack([bilateral_level(picture, space, k) for k in range(space.intervals + 3)])
 
 
 @pytest.mark.parametrize(("looks", "wanted"), [(1.0, 0.576), (4.0, 0.259), (16.0, 0.126)])
@@ -168,9 +173,11 @@ def test_extrema_are_those_among_26_neighbours(shape: tuple[int, int, int], tied
     levels = (rng.integers(0, 4, shape) if tied else rng.normal(size=shape)).astype(np.float32)
     differences = levels[1:] - levels[:-1]
     earlier = np.array([[1, 1, 1], [1, 0, 0], [0, 0, 0]], np.bool_)
-    at, counts = np.empty((shape[0] - 3, shape[1] * shape[2]), np.int64), np.empty(shape[0] - 3, np.int64)
-    bilateral_kernels.extrema(levels, np.float32(0.5), at, counts)
-    for k, (flat, count) in enumerate(zip(at, counts, strict=True), start=1):
+    at, some = np.empty(shape[1] * shape[2], np.int64), 0
+    for k in range(1, shape[0] - 2):
+        first, finer, coarser, last = levels[k - 1 : k + 3]
+        count = bilateral_kernels.extrema(first, finer, coarser, last, np.float32(0.5), at)
+        some += count
         wanted = np.zeros(shape[1:], np.bool_)
         for sign in (1, -1):
             here = sign * differences[k]
@@ -178,15 +185,14 @@ def test_extrema_are_those_among_26_neighbours(shape: tuple[int, int, int], tied
             wanted |= (here >= top) & (here > maximum_filter(here, footprint=earlier)) & (here > 0.5)
         wanted[[0, -1]] = False
         wanted[:, [0, -1]] = False
-        np.testing.assert_array_equal(flat[:count], np.flatnonzero(wanted))
-    assert counts.all() or min(shape) < 4
+        np.testing.assert_array_equal(at[:count], np.flatnonzero(wanted))
+    assert some or min(shape) < 4
 
 
 def test_extrema_of_an_image_lie_in_its_own_levels(sar_texture: Texture) -> None:
     picture, space = as_image(sar_texture(60, 80)), BilateralSpace()
     levels = bilateral_levels(picture, space)
-    found = bilateral_extrema(picture, space, 0.05)
-    assert len(found) == space.intervals
+    found = [bilateral_extrema(picture, space, interval, 0.05) for interval in range(space.intervals)]
     assert sum(map(len, found)) > 0
     for k, flat in enumerate(found, start=1):
         assert (np.abs((levels[k + 1] - levels[k]).ravel()[flat]) > 0.05).all()
@@ -235,6 +241,17 @@ def test_blobs_are_found_at_their_centre_and_scale(sign: int) -> None:
         np.testing.assert_allclose(found.xy[0], [80.3, 75.6], atol=0.25)
         scales[sigma] = found.scale[0]
     assert scales[3.5] > scales[2.0]
+
+
+@pytest.mark.parametrize(
+    ("n_features", "thin", "all_scales"), [(600, True, False), (600, False, True), (5000, True, True)]
+)
+def test_the_coarsest_scale_of_an_octave_is_not_needed_where_there_are_pixels_enough(
+    sar_texture: Texture, n_features: int, thin: bool, all_scales: bool
+) -> None:
+    found = detect(as_image(sar_texture(200, 200)), n_features=n_features, thin=thin, quota_decay=1.0, support=4.0)
+    assert np.isin([0, 3], found.level).all()
+    assert (np.isin([2, 5], found.level) == all_scales).all()
 
 
 def test_gain_changes_nothing(sar_texture: Texture) -> None:

@@ -175,6 +175,20 @@ def test_no_cell_of_harmonics_decides_alone() -> None:
     np.testing.assert_allclose(found[:, 3] / strong, one[0, :, 3] / np.linalg.norm(one[0, :, 3]), rtol=1e-5)
 
 
+def test_cells_are_clipped_between_two_normalisations() -> None:
+    rng = np.random.default_rng(0)
+    cells = rng.normal(size=(50, 5, CELLS)) * rng.gamma(0.3, 1, (50, 1, CELLS))
+    cells[7] = 0
+    unit = cells / np.maximum(np.sqrt((cells**2).sum(axis=(1, 2), keepdims=True)), 1e-9)
+    length = np.sqrt((unit**2).sum(axis=1, keepdims=True))
+    clipped = unit * (0.3 / np.maximum(length, 0.3))
+    wanted = clipped / np.maximum(np.sqrt((clipped**2).sum(axis=(1, 2), keepdims=True)), 1e-9)
+    found = normalised(cells.reshape(50, 5 * CELLS).astype(np.float32))
+    np.testing.assert_allclose(found, wanted.reshape(50, 5 * CELLS), atol=1e-6)
+    assert (length > 0.3).any()
+    assert not found[7].any()
+
+
 def test_the_root_is_that_of_each_direction_or_of_each_cell() -> None:
     """Of a cell's harmonics the first is its length: the root shortens all of them alike."""
     cells = np.zeros((3, CELLS), np.float32)

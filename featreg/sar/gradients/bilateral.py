@@ -40,7 +40,7 @@ class BilateralSpace:
 
     Parameters
     ----------
-    intervals : levels to a doubling of sigma; there are three more, so that each interval has neighbours on both sides
+    intervals : levels to a doubling of sigma; three more give each interval neighbours on both sides
     sigma : spatial standard deviation in pixels of the first level
     tone : standard deviation of the weight of a difference of log-amplitudes, in units of the image's own noise
     exact : filter the image itself for every level. Otherwise the fast way: each level filters the one before by what
@@ -53,34 +53,27 @@ class BilateralSpace:
     tone: float = 5.0
     exact: bool = False
 
-    @property
-    def levels(self) -> int:
-        return self.intervals + 3
-
     def sigma_of(self, level: int) -> float:
         return float(self.sigma * 2 ** (level / self.intervals))
 
 
-def bilateral_levels(image: Image, space: BilateralSpace) -> F32:
-    """Return the (levels, H, W) float32 bilaterally smoothed log-amplitude; invalid pixels count as the mean."""
-    return image.derive(_bilateral_levels, space=space)
+def bilateral_level(image: Image, space: BilateralSpace, level: int) -> F32:
+    """Return the (H, W) float32 bilaterally smoothed log-amplitude of one level; invalid pixels count as the mean."""
+    return image.derive(_bilateral_level, space=space, level=int(level))
 
 
-def _bilateral_levels(image: Image, space: BilateralSpace) -> F32:
+def _bilateral_level(image: Image, space: BilateralSpace, level: int) -> F32:
     import cv2
 
-    source = log_amplitude(image)
-    tone = space.tone * noise_level(image)
-    out = np.empty((space.levels, *image.shape), np.float32)
+    source, tone, wanted = log_amplitude(image), space.tone * noise_level(image), space.sigma_of(level)
+    if space.exact:
+        side = 2 * _radius(wanted) + 1
+        return np.asarray(cv2.bilateralFilter(source, side, tone, wanted, borderType=cv2.BORDER_REFLECT_101))
     held = 0.0
-    for k in range(space.levels):
-        wanted = space.sigma_of(k)
-        if space.exact:
-            side = 2 * _radius(wanted) + 1
-            out[k] = cv2.bilateralFilter(source, side, tone, wanted, borderType=cv2.BORDER_REFLECT_101)
-        else:
-            _smooth(out[k - 1] if k else source, math.sqrt(wanted * wanted - held * held), tone, out[k])
-        held = wanted
+    if level:
+        source, held = bilateral_level(image, space, level - 1), space.sigma_of(level - 1)
+    out = np.empty(image.shape, np.float32)
+    _smooth(source, math.sqrt(wanted * wanted - held * held), tone, out)
     return out
 
 
@@ -110,8 +103,8 @@ def _mirrored(length: int, pad: int) -> I64:
     return np.minimum(index, period - index) if length > 1 else index
 
 
-def bilateral_extrema(image: Image, space: BilateralSpace, threshold: float) -> list[I64]:
-    """Return, for each interval, the flat indices of the extrema of its difference of levels, in reading order.
+def bilateral_extrema(image: Image, space: BilateralSpace, interval: int, threshold: float) -> I64:
+    """Return the flat indices of the extrema of the difference of levels of an interval, in reading order.
 
     Interval k lies between the levels k + 1 and k + 2. Its difference, the coarser level less the finer, is there the
     greatest or least among its 26 neighbours in space and scale, and further from 0 than `threshold`.
@@ -120,21 +113,20 @@ def bilateral_extrema(image: Image, space: BilateralSpace, threshold: float) -> 
 
     height, width = image.shape
     # Of four pixels in a square at most one is the greatest and one the least.
-    at = np.empty((space.intervals, 2 * ((height + 1) // 2) * ((width + 1) // 2)), np.int64)
-    counts = np.empty(space.intervals, np.int64)
-    bilateral_kernels.extrema(bilateral_levels(image, space), np.float32(threshold), at, counts)
-    return [found[:count].copy() for found, count in zip(at, counts, strict=True)]
+    at = np.empty(2 * ((height + 1) // 2) * ((width + 1) // 2), np.int64)
+    first, finer, coarser, last = (bilateral_level(image, space, k) for k in range(interval, interval + 4))
+    return at[: bilateral_kernels.extrema(first, finer, coarser, last, np.float32(threshold), at)].copy()
 
 
 def bilateral_field(image: Image, space: BilateralSpace, level: int) -> GradientField:
-    """Return the gradient of one level of `bilateral_levels`, by Sobel's derivative; 0 beside nodata."""
+    """Return the gradient of one `bilateral_level`, by Sobel's derivative; 0 beside nodata."""
     return image.derive(_bilateral_field, space=space, level=int(level))
 
 
 def _bilateral_field(image: Image, space: BilateralSpace, level: int) -> GradientField:
     import cv2
 
-    smooth = bilateral_levels(image, space)[level]
+    smooth = bilateral_level(image, space, level)
     gx = np.asarray(cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=1 / 8), np.float32)
     gy = np.asarray(cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=1 / 8), np.float32)
     if not image.all_valid:

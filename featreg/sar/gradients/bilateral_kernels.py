@@ -157,38 +157,34 @@ def _is_first(above: F32, here: F32, x: int) -> bool:
 
 
 @compiled
-def extrema(levels: F32, threshold: np.float32, at: I64, counts: I64) -> None:
+def extrema(first: F32, finer: F32, coarser: F32, last: F32, threshold: np.float32, at: I64) -> int:
     """Gather the pixels at which a difference of neighbouring levels is an extremum among its 26 neighbours.
 
-    `levels` (K + 3, H, W) give K + 2 differences, each the coarser level less the finer; the K inner ones are searched,
-    but for the outermost rows and columns, for what exceeds the threshold on either side of 0. Of equal neighbours in
-    one difference the first in reading order counts. `at` (K, room) takes flat indices in reading order, `counts` (K,)
-    how many.
+    Four levels (H, W) give three differences, each the coarser level less the finer; the middle one is searched, but
+    for the outermost rows and columns, for what exceeds the threshold on either side of 0. Of equal neighbours in it
+    the first in reading order counts. `at` takes flat indices in reading order; how many is returned.
     """
-    height, width = levels.shape[1], levels.shape[2]
+    height, width = first.shape
     # Of the last three rows, one after the other.
-    here = np.empty((counts.shape[0], 3, width), np.float32)
+    here = np.empty((3, width), np.float32)
     low, high = np.empty_like(here), np.empty_like(here)
     least, greatest = np.empty(width, np.float32), np.empty(width, np.float32)
     marks = np.zeros((width + 7) // 8 * 8, np.uint8)
     eights = marks.view(np.uint64)
-    counts[:] = 0
+    count = 0
     for y in range(height):
-        for k in range(counts.shape[0]):
-            _differences(
-                levels[k, y], levels[k + 1, y], levels[k + 2, y], levels[k + 3, y],
-                here[k, y % 3], low[k, y % 3], high[k, y % 3],
-            )  # fmt: skip
-            if y < 2:
+        _differences(first[y], finer[y], coarser[y], last[y], here[y % 3], low[y % 3], high[y % 3])
+        if y < 2:
+            continue
+        _least(low[0], low[1], low[2], least)
+        _greatest(high[0], high[1], high[2], greatest)
+        above, row = here[(y + 1) % 3], here[(y + 2) % 3]
+        _mark(row, least, greatest, threshold, marks[:width])
+        for e in range(eights.shape[0]):
+            if eights[e] == 0:
                 continue
-            _least(low[k, 0], low[k, 1], low[k, 2], least)
-            _greatest(high[k, 0], high[k, 1], high[k, 2], greatest)
-            above, row = here[k, (y + 1) % 3], here[k, (y + 2) % 3]
-            _mark(row, least, greatest, threshold, marks[:width])
-            for e in range(eights.shape[0]):
-                if eights[e] == 0:
-                    continue
-                for x in range(8 * e, 8 * e + 8):
-                    if marks[x] != 0 and _is_first(above, row, x):
-                        at[k, counts[k]] = (y - 1) * width + x
-                        counts[k] += 1
+            for x in range(8 * e, 8 * e + 8):
+                if marks[x] != 0 and _is_first(above, row, x):
+                    at[count] = (y - 1) * width + x
+                    count += 1
+    return count

@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 from numpy.typing import NDArray
 
+from featreg.runtime.buffers import keeping, scratch
 from featreg.sar.gradients.fourier import fast_length, inverse_transform, transform
 from featreg.sar.gradients.gradient_field import clear_of_nodata
 from featreg.sar.speckle import filled_amplitude, mean_amplitude
@@ -83,8 +84,8 @@ def _gabor_gradients(image: Image, sigma: float, orientations: int, floor: float
     padded = cv2.copyMakeBorder(filled_amplitude(image), margin, beyond, margin, beyond, cv2.BORDER_REFLECT_101)
     wide = np.multiply(padded, gain, out=padded, dtype=np.float32)
     gx, gy = np.zeros((2, *(side if spacing == 1 else side // 2 + 1 for side in image.shape)), np.float32)
-    for rows in _pieces(gx.shape[0], PIECE // spacing):
-        for columns in _pieces(gx.shape[1], PIECE // spacing):
+    with keeping():
+        for rows, columns in product(*(_pieces(side, PIECE // spacing) for side in gx.shape)):
             outer = tuple(slice(spacing * s.start, spacing * (s.stop - 1) + 1 + 2 * margin) for s in (rows, columns))
             place = rows.start, columns.start, rows.stop - rows.start, columns.stop - columns.start
             _piece(wide[outer], margin, sigma, orientations, small, spacing, place, gx, gy)
@@ -122,11 +123,11 @@ def _piece(
     top = left = spacing * first - margin
     height, width = (fast_length(side + top) for side in amplitude.shape)
     # A real transform would give half of the spectrum, and filling in the other half takes longer than computing it.
-    spectrum = np.zeros((height, width), np.complex64)
-    spectrum.real[top : top + amplitude.shape[0], left : left + amplitude.shape[1]] = amplitude
+    # New memory costs as much as a transform, so all directions and pieces use the same.
+    spectrum = _complex("spectrum", height, width)
+    gabor_kernels.embedded(amplitude, top, left, spectrum)
     transform(spectrum)
-    # New memory costs as much as a transform, so all directions use the same.
-    means = np.empty((height // spacing, width // spacing), np.complex64)
+    means = _complex("means", height // spacing, width // spacing)
     bank = _filters if 4 * orientations * height * width <= KEPT else half_filters
     for n, transfer in enumerate(bank(height, width, sigma, orientations)):
         theta = math.pi * n / orientations
@@ -137,6 +138,11 @@ def _piece(
             gabor_kernels.filter_folded(spectrum, transfer, means)
         inverse_transform(means)
         gabor_kernels.add_ratios(means, first, *place, small, x, y, gx, gy)
+
+
+def _complex(name: str, height: int, width: int) -> NDArray[np.complex64]:
+    """Room of this thread that holds what the last one of the name wrote."""
+    return scratch(f"gabor {name}", (height, 2 * width)).view(np.complex64)
 
 
 def _reach(sigma: float) -> int:

@@ -13,6 +13,33 @@ C64 = NDArray[np.complex64]
 
 
 @compiled
+def _nothing(out: F32) -> None:
+    for k in range(out.shape[0]):
+        out[k] = np.float32(0)
+
+
+@compiled
+def _as_real(row: F32, out: F32) -> None:
+    for k in range(row.shape[0]):
+        out[2 * k] = row[k]
+        out[2 * k + 1] = np.float32(0)
+
+
+@compiled
+def embedded(amplitude: F32, top: int, left: int, out: C64) -> None:
+    """Fill `out` with a real image whose first pixel comes to (`top`, `left`), and 0 around it."""
+    height, width = amplitude.shape
+    for y in range(out.shape[0]):
+        row = out[y].view(np.float32)
+        if top <= y < top + height:
+            _nothing(row[: 2 * left])
+            _as_real(amplitude[y - top], row[2 * left : 2 * (left + width)])
+            _nothing(row[2 * (left + width) :])
+        else:
+            _nothing(row)
+
+
+@compiled
 def _sides(means: F32, small: np.float32, after: F32, before: F32) -> None:
     tiny = np.float32(1e-6) * small
     for k in range(after.shape[0]):

@@ -150,12 +150,16 @@ def normalised(rows: F32, root: bool = False) -> F32:
             total = rows.sum(axis=1, keepdims=True)
             return np.asarray(np.sqrt(rows / np.where(total > 0, total, 1)), np.float32)
         return _unit(np.minimum(_unit(rows), np.float32(CLIP)))
-    cells = _unit(rows).reshape(len(rows), rows.shape[1] // CELLS, CELLS)
+    cells = rows.reshape(len(rows), rows.shape[1] // CELLS, CELLS)
     if root:
-        length = cells[:, 0]
-        return _unit(rows * np.tile(1 / np.sqrt(np.where(length > 0, length, 1)), cells.shape[1]))
-    length = np.sqrt(np.einsum("npc,npc->nc", cells, cells))
-    return _unit((cells * (CELL_CLIP / np.maximum(length, CELL_CLIP))[:, None]).reshape(rows.shape))
+        unit = _unit(rows)
+        length = unit[:, :CELLS]
+        return _unit(unit * np.tile(1 / np.sqrt(np.where(length > 0, length, 1)), cells.shape[1]))
+    from featreg.sar.keypoints import unit_kernels
+
+    out = np.empty_like(cells)
+    unit_kernels.unit_cells(cells, np.float32(CELL_CLIP), out)
+    return out.reshape(rows.shape)
 
 
 def described(image: Image, features: Features, descriptors: F32) -> Features:

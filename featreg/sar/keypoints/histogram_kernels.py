@@ -159,6 +159,18 @@ def _add(values: F32, share: np.float32, out: F32) -> None:
 
 
 @compiled
+def _add_to_four(
+    values: F32, a: np.float32, b: np.float32, c: np.float32, d: np.float32, one: F32, two: F32, three: F32, four: F32
+) -> None:
+    for i in range(values.shape[0]):
+        value = values[i]
+        one[i] += a * value
+        two[i] += b * value
+        three[i] += c * value
+        four[i] += d * value
+
+
+@compiled
 def harmonics(
     gx: F32, gy: F32, width: int, height: int, order: I64, xy: F64, radius: F64, angle: F64, pattern: F32, cell: I64,
     share: F32, out: F32,
@@ -201,6 +213,13 @@ def harmonics(
                     along, up, found[first - 2 * lanes : first - lanes], found[first - lanes : first],
                     found[first : first + lanes], found[first + lanes : first + 2 * lanes],
                 )  # fmt: skip
+            if share[k, 3] > 0:
+                # Most samples lie between four cells: what is added is read once for all.
+                _add_to_four(
+                    found, share[k, 0], share[k, 1], share[k, 2], share[k, 3],
+                    sums[cell[k, 0]], sums[cell[k, 1]], sums[cell[k, 2]], sums[cell[k, 3]],
+                )  # fmt: skip
+                continue
             for n in range(4):
                 if share[k, n] > 0:
                     _add(found, share[k, n], sums[cell[k, n]])
