@@ -114,12 +114,12 @@ def _unit(xy: FloatArray, shape: tuple[int, int]) -> FloatArray:
 
 def _cells(unit: FloatArray, along: FloatArray, dx: float, dy: float) -> IntArray:
     """Cell number of each point on a grid moved by (dx, dy) of a cell; -1 outside."""
+    from featreg.sar.keypoints import motion_kernels
+
+    out = np.empty(len(unit), np.int64)
     wide, high = _whole(along)
-    with np.errstate(invalid="ignore"):
-        x = np.floor(unit[:, 0] * along[0] + dx)
-        y = np.floor(unit[:, 1] * along[1] + dy)
-        inside = (x >= 0) & (y >= 0) & (x < wide) & (y < high)
-    return np.where(inside, y * wide + x, -1).astype(np.int64)
+    motion_kernels.cells(unit, float(along[0]), float(along[1]), dx, dy, wide, high, out)
+    return out
 
 
 @cache

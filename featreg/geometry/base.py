@@ -66,33 +66,24 @@ def normalise(
     w = np.ones(len(r)) if weights is None else np.asarray(weights, np.float64)
     if w.shape != (len(r),):
         raise InputError(f"a fit of {len(r)} points needs weights of shape ({len(r)},), got {w.shape}")
-    given, heaviest = len(r), w.max()
-    # What is not finite passes no comparison.
-    if not (_on_images(r) and _on_images(s) and w.min() > 0 and heaviest < np.inf):
+    from featreg.geometry.normalise_kernels import normalised
+
+    here, there, scaled, numbers = np.empty(r.shape), np.empty(r.shape), np.empty(len(r)), np.zeros(6)
+    r, s, w = np.ascontiguousarray(r), np.ascontiguousarray(s), np.ascontiguousarray(w)
+    count = normalised(r, s, w, FARTHEST, here, there, scaled, numbers)
+    if count < 0:
         usable = (np.abs(r) < FARTHEST).all(axis=1) & (np.abs(s) < FARTHEST).all(axis=1) & np.isfinite(w)
         if not usable.all():
             return FailedFit(f"{int((~usable).sum())} of {len(r)} points or weights are not finite")
-        if (w < 0).any():
-            return FailedFit(f"{int((w < 0).sum())} of {len(r)} weights are negative")
-        r, s, w = r[w > 0], s[w > 0], w[w > 0]
-    if len(r) < minimum:
-        found = f"got {len(r)}" if len(r) else f"none of {given}"
+        return FailedFit(f"{int((w < 0).sum())} of {len(r)} weights are negative")
+    if count < max(minimum, 1):
+        found = f"got {len(r)}" if count == len(r) else f"got {count}" if count else f"none of {len(r)}"
         return FailedFit(f"too few points: {minimum} needed, {found} of positive weight")
-    # Two divisions: the mean of weights near the end of float64's range must not overflow.
-    w = w / heaviest
-    w = w / w.mean()
-    rc, sc = (w @ r) / len(r), (w @ s) / len(s)
-    r, s = r - rc, s - sc
-    rs, ss = (math.sqrt((w @ (p * p)).sum() / len(p)) for p in (r, s))
+    rc, sc, (rs, ss) = numbers[:2], numbers[2:4], numbers[4:].tolist()
     for size, centre, image in ((rs, rc, "reference"), (ss, sc, "secondary")):
         if spread and size <= 1e-10 * (1.0 + np.abs(centre).max()):
-            return FailedFit(f"the {len(r)} {image} points coincide: spread {size:.3g} px")
-    return Normalised(r / (rs or 1.0), s / (ss or 1.0), w, rc, sc, rs or 1.0, ss or 1.0)
-
-
-def _on_images(xy: FloatArray) -> bool:
-    """Whether all coordinates can be those of pixels."""
-    return bool(xy.max() < FARTHEST and xy.min() > -FARTHEST)
+            return FailedFit(f"the {count} {image} points coincide: spread {size:.3g} px")
+    return Normalised(here[:count], there[:count], scaled[:count], rc, sc, rs or 1.0, ss or 1.0)
 
 
 class LinearPart(NamedTuple):

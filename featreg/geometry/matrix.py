@@ -283,7 +283,9 @@ class Affine(GeneralMatrixModel):
 
     @property
     def matrix(self) -> FloatArray:
-        return np.vstack([self.coefficients, (0.0, 0.0, 1.0)])
+        whole = np.zeros((3, 3))
+        whole[:2], whole[2, 2] = self.coefficients, 1.0
+        return whole
 
     @property
     def inverse(self) -> Affine:

@@ -218,7 +218,7 @@ def _image(
     if valid is None:
         valid = everywhere((pixels.shape[0], pixels.shape[1]))
     else:
-        pixels[~valid] = 0
+        np.copyto(pixels, 0, where=~valid)
     return Image(
         read_only(pixels), read_only(valid), raster.geolocation, name, raster.dtype, scale,
         band=raster.band, calibration=calibration, nodata=nodata,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -10,13 +11,16 @@ from numpy.typing import NDArray
 from featreg.interfaces import Model
 from featreg.sar.bridging import on_sample
 from featreg.sar.correlation import Peaks
-from featreg.sar.pyramid import clear, whole_squares
+from featreg.sar.pyramid import clear
 from featreg.types import BoolArray, FloatArray, Image, IntArray
 
 F32 = NDArray[np.float32]
 
 #: Pixels beyond a window that must be valid too: small shifts, and interpolation.
 MARGIN = 4
+#: In a window that must be whole the secondary is looked at so far apart, px; squares of 2 * MARGIN + 1 px, turned by
+#: whatever angle, hold such a sample.
+SAMPLED_PX = 6.0
 #: Over so many px a model is taken as linear.
 STEP_PX = 8.0
 #: OpenCV resamples images of at most so many pixels a side; parts of a larger one have so many, px.
@@ -149,7 +153,6 @@ class WholeWindows:
         self.reach = half + MARGIN
         self.reference, self.secondary, self.model = reference, secondary, model
         self._clear = None if reference.all_valid else clear(reference, self.reach)
-        self._whole_there = None if secondary.all_valid else self._whole_in_secondary()
 
     def in_reference(self, xy: IntArray) -> BoolArray:
         """(N,) of (N, 2) whole pixels inside the reference."""
@@ -162,8 +165,8 @@ class WholeWindows:
 
     def in_secondary(self, xy: IntArray) -> BoolArray:
         """(N,) of (N, 2) whole pixels inside the reference, for the windows of the resampled secondary around them."""
-        if self._whole_there is not None:
-            good = self._whole_there[xy[:, 1], xy[:, 0]]
+        if not self.secondary.all_valid:
+            good = self._whole_in_secondary(xy)
             if self.secondary.filled is not None:
                 good[good] = on_sample(self.model(xy[good].astype(np.float64)), self.secondary)
             return good
@@ -173,17 +176,38 @@ class WholeWindows:
         around = self.model((xy[:, None, :] + corners).reshape(-1, 2)).reshape(-1, 4, 2)
         return np.asarray(((around >= 0) & (around <= [width - 1, height - 1])).all(axis=(1, 2)))
 
-    def _whole_in_secondary(self) -> BoolArray:
-        """(H, W) pixels of the reference around which the resampled secondary is valid, as far as the grid goes."""
-        import cv2
+    def _whole_in_secondary(self, xy: IntArray) -> BoolArray:
+        """(N,) whether the resampled secondary is valid in the windows around points, as far as the grid goes.
 
-        valid = clear(self.secondary, MARGIN).astype(np.uint8)
-        # Outside the secondary nothing is valid, beyond the reference's grid nothing is known.
-        there = warped(valid, self.model, self.reference.shape, cv2.INTER_NEAREST, cv2.BORDER_CONSTANT)
-        return whole_squares(there.view(np.bool_), self.reach, outside=True)
+        What is invalid is grown to squares of 2 * MARGIN + 1 px first, so that samples every `SAMPLED_PX` meet it.
+        """
+        from featreg.sar.window_kernels import whole_windows
+
+        good = np.zeros(len(xy), np.bool_)
+        if not len(xy):
+            return good
+        matrix = self.model.matrix
+        if matrix is not None and np.array_equal(matrix[2], [0, 0, 1]):
+            maps = np.ascontiguousarray(matrix[None, :2])
+        else:
+            maps = local_affines(self.model, xy.astype(np.float64))
+        stretch = np.abs(maps[:, :, :2]).sum(axis=2).max()
+        parts = math.ceil(2 * self.reach * min(max(stretch, 1.0), 10.0) / SAMPLED_PX) if np.isfinite(stretch) else 1
+        valid, sums = self.secondary.derive(_summed_clear)
+        middles = np.ascontiguousarray(xy, np.int64)
+        whole_windows(valid, sums, maps, middles, self.reach, parts, *self.reference.shape, good)
+        return good
 
     def __call__(self, xy: IntArray) -> BoolArray:
         """(N,) of (N, 2) whole pixels inside the reference: both."""
         good = self.in_reference(xy)
         good[good] = self.in_secondary(xy[good])
         return good
+
+
+def _summed_clear(image: Image) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
+    """(H, W) whether an image is valid in the square of `MARGIN` px around, and (H + 1, W + 1) sums of that."""
+    import cv2
+
+    valid = np.ascontiguousarray(clear(image, MARGIN)).view(np.uint8)
+    return valid, np.asarray(cv2.integral(valid), np.int32)

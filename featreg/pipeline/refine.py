@@ -20,7 +20,6 @@ from featreg.pipeline.aligned import (
     local_affines,
     peak_covariance,
     resampled,
-    shared_pixels,
     variance_factor,
 )
 from featreg.runtime.parameters import Positive, checked
@@ -34,6 +33,7 @@ from featreg.sar.correlation_filter import (
     filter_of_squares,
     square_corners,
 )
+from featreg.sar.pyramid import reduced
 from featreg.sar.speckle import despeckled, despeckled_halved, log_amplitude
 from featreg.sar.windows import aligned_windows, as_map, compact, few, log_windows, places
 from featreg.types import BoolArray, FloatArray, Image, IntArray, Matches
@@ -128,10 +128,9 @@ class Refine:
         none = Refined(Matches.empty(), FailedFit("no window of the two images correlates"), 0, 0)
         if min(reference.shape) < 4 * self.half:
             return none
-        small = despeckled_halved(reference, self.sigma)
         usable = WholeWindows(reference, secondary, model, self.half + FILTER_MARGIN)
-        seeds, origin = self._seeds(small, usable, matches, n_features)
-        first = model if near else self._first_pass(small, secondary, model, seeds, reference.shape)
+        seeds, origin = self._seeds(reference, usable, matches, n_features)
+        first = model if near else self._first_pass(reference, secondary, model, seeds)
         if isinstance(first, FailedFit):
             return none
         if _distance(first, model, reference.shape) > 1:
@@ -182,7 +181,7 @@ class Refine:
                 lambda: resampled(log_amplitude(secondary), model, reference.shape),
             ]
         )
-        best = correlation_filter(view, aligned, shared_pixels(reference, secondary, model))
+        best = correlation_filter(view, aligned, _shared_squares(reference, secondary, model))
         if best is None:
             return None
         view, aligned = side_by_side([partial(best.applied, view), partial(best.applied, aligned)])
@@ -190,20 +189,17 @@ class Refine:
 
     def _filter(self, reference: Image, secondary: Image, model: Model) -> CorrelationFilter | None:
         """The filter of two images, from squares that are whole in both."""
-        half = SIDE // 2
-        corners = square_corners(reference.shape)
-        corners = corners[WholeWindows(reference, secondary, model, half - MARGIN)(corners + half)]
-        maps = local_affines(model, corners.astype(np.float64) + half)
+        corners = _shared_squares(reference, secondary, model)
+        maps = local_affines(model, corners.astype(np.float64) + SIDE // 2)
         if not len(corners) or not compact(maps):
             return None
         return filter_of_squares(
             log_windows(reference, corners, SIDE), aligned_windows(secondary, maps, reference.shape, corners, SIDE)
         )
 
-    def _first_pass(
-        self, small: F32, secondary: Image, model: Model, seeds: IntArray, shape: tuple[int, int]
-    ) -> Model | FailedFit:
+    def _first_pass(self, reference: Image, secondary: Image, model: Model, seeds: IntArray) -> Model | FailedFit:
         """The model fitted to shifts at half size, of a sample of the points."""
+        small, shape = despeckled_halved(reference, self.sigma), reference.shape
         aligned = halved(resampled(despeckled(secondary, self.sigma), model, shape))
         some = seeds[:: max(1, len(seeds) // SAMPLE)]
         coarse = self._measure(small, aligned, some // 2, self.half // 2, (self.search + 1) // 2)
@@ -246,21 +242,29 @@ class Refine:
         return model, there, usable & (weights > 0)
 
     def _seeds(
-        self, small: F32, usable: Callable[[IntArray], BoolArray], matches: Matches, budget: int
+        self, reference: Image, usable: Callable[[IntArray], BoolArray], matches: Matches, budget: int
     ) -> tuple[IntArray, IntArray]:
         """Whole-pixel points to look at, without repeats: those of the matches first, then a fill-in of (-1) points."""
-        height, width = 2 * small.shape[0], 2 * small.shape[1]
+        height, width = reference.shape
         at = np.clip(np.rint(matches.reference_xy), 0, [width - 1, height - 1]).astype(np.int64)
         good = usable(at)
         at, origin = at[good], np.flatnonzero(good)
         missing = budget - len(at)
         if missing > 0:
+            small = despeckled(reduced(reference, 0.5), self.sigma / 2)
             fill = 2 * strongest_of_cells(small, missing, (self.half + MARGIN) // 2)
             fill = fill[usable(fill)]
             at, origin = np.concatenate([at, fill]), np.concatenate([origin, np.full(len(fill), -1)])
         _, first = np.unique(at[:, 1] * width + at[:, 0], return_index=True)
         first = np.sort(first)[:budget]
         return at[first], origin[first]
+
+
+def _shared_squares(reference: Image, secondary: Image, model: Model) -> IntArray:
+    """(N, 2) upper left corners of squares that are whole in both images."""
+    half = SIDE // 2
+    corners = square_corners(reference.shape)
+    return corners[WholeWindows(reference, secondary, model, half - MARGIN)(corners + half)]
 
 
 def strongest_of_cells(view: F32, count: int, margin: int) -> IntArray:

@@ -72,6 +72,8 @@ def _gaps(invalid: BoolArray) -> BoolArray:
     wide = cv2.morphologyEx(holes, cv2.MORPH_OPEN, np.ones((side, side), np.uint8))
     # What is joined to a wide hole within a gap's width is part of it: its corners, its frayed rim.
     count = cv2.countNonZero(wide)
+    if count == cv2.countNonZero(holes):
+        return np.zeros(invalid.shape, np.bool_)
     for _ in range(GAP):
         wide = cv2.min(cv2.dilate(wide, np.ones((3, 3), np.uint8)), holes)
         before, count = count, cv2.countNonZero(wide)

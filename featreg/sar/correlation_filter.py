@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.sar.correlation_filter_kernels import HALF, TERMS
-from featreg.types import BoolArray, FloatArray, IntArray
+from featreg.types import FloatArray, IntArray
 
 F32 = NDArray[np.float32]
 
@@ -47,33 +47,23 @@ class CorrelationFilter:
         return out
 
 
-def correlation_filter(first: F32, second: F32, valid: BoolArray | None = None) -> CorrelationFilter | None:
+def filter_of_squares(first: F32, second: F32) -> CorrelationFilter | None:
+    """Return the `correlation_filter` of two maps of which (N, SIDE, SIDE) squares are given."""
+    corners = np.column_stack([np.zeros(len(first), np.int64), SIDE * np.arange(len(first))])
+    return correlation_filter(first.reshape(-1, SIDE), second.reshape(-1, SIDE), corners)
+
+
+def correlation_filter(first: F32, second: F32, corners: IntArray) -> CorrelationFilter | None:
     """Return the filter of two aligned maps that makes the peak of their correlation as sharp as their noise allows.
 
     Parameters
     ----------
     first, second : (H, W) float32, aligned to a fraction of a pixel, in which noise is additive (log-amplitudes)
-    valid : (H, W) bool, pixels that count; None for all
+    corners : (N, 2) int64 upper left (x, y) of squares of `SIDE` px, from which is learnt; see `square_corners`
 
     Returns
     -------
-    The filter for both maps; None where they share no valid square of `SIDE` px, or nothing in those they share.
-    """
-    corners = square_corners(first.shape)
-    if valid is not None and len(corners):
-        squares = np.lib.stride_tricks.sliding_window_view(valid, (SIDE, SIDE))
-        corners = corners[squares[corners[:, 1], corners[:, 0]].all(axis=(1, 2))]
-    return _filter_of(first, second, corners)
-
-
-def filter_of_squares(first: F32, second: F32) -> CorrelationFilter | None:
-    """Return the `correlation_filter` of two maps of which (N, SIDE, SIDE) squares are given."""
-    corners = np.column_stack([np.zeros(len(first), np.int64), SIDE * np.arange(len(first))])
-    return _filter_of(first.reshape(-1, SIDE), second.reshape(-1, SIDE), corners)
-
-
-def _filter_of(first: F32, second: F32, corners: IntArray) -> CorrelationFilter | None:
-    """The filter of two maps from their squares at (N, 2) upper left corners.
+    The filter for both maps; None where there is no square, or nothing that they share in those there are.
 
     Notes
     -----

@@ -118,3 +118,56 @@ def sampled_windows(
                 u[c] = max(base_x + shift_x[c], low_x)
                 v[c] = max(base_y + shift_y[c], low_y)
             _sampled_row(boxes[i], box_width, u, v, high_x, high_y, out[i, r])
+
+
+@compiled
+def _sampled_whole(
+    valid: NDArray[np.uint8], m: F64, left: float, top: float, step: float, parts: int, rows: int, columns: int
+) -> bool:
+    """Whether an image is valid at the places to which `m` (2, 3) takes samples of a window, inside the grid."""
+    height, width = valid.shape
+    for row in range(parts + 1):
+        y = min(max(top + row * step, 0.0), rows - 1.0)
+        for column in range(parts + 1):
+            x = min(max(left + column * step, 0.0), columns - 1.0)
+            u = np.floor(m[0, 0] * x + m[0, 1] * y + m[0, 2] + 0.5)
+            v = np.floor(m[1, 0] * x + m[1, 1] * y + m[1, 2] + 0.5)
+            if not (u >= 0.0 and v >= 0.0 and u < width and v < height):
+                return False
+            if valid[np.int64(v), np.int64(u)] == 0:
+                return False
+    return True
+
+
+@compiled
+def whole_windows(
+    valid: NDArray[np.uint8], sums: NDArray[np.int32], affine: F64, middles: I64, reach: int, parts: int, rows: int,
+    columns: int, out: NDArray[np.bool_],
+) -> None:  # fmt: skip
+    """Mark the windows of a grid of `rows` x `columns` that lie where an image is valid.
+
+    Parameters
+    ----------
+    valid : (H, W) 1 where the image is valid; whatever is not is at least as large as samples lie apart
+    sums : (H + 1, W + 1) of `valid` above and to the left: a box that is valid all over needs no samples
+    affine : (1, 2, 3), or (N, 2, 3) one for each window, from the grid to the image
+    middles, reach : (N, 2) whole pixels (x, y), and how far the windows reach around them, px; beyond the grid no more
+    parts : of a window's side, at whose ends is looked
+    out : (N,)
+    """
+    height, width = valid.shape
+    for i in range(middles.shape[0]):
+        m = affine[i if affine.shape[0] > 1 else 0]
+        x, y = np.float64(middles[i, 0]), np.float64(middles[i, 1])
+        u, v = m[0, 0] * x + m[0, 1] * y + m[0, 2], m[1, 0] * x + m[1, 1] * y + m[1, 2]
+        if not (u > -1e9 and u < 1e9 and v > -1e9 and v < 1e9):
+            out[i] = False
+            continue
+        along, down = reach * (abs(m[0, 0]) + abs(m[0, 1])), reach * (abs(m[1, 0]) + abs(m[1, 1]))
+        left, right = np.int64(np.floor(u - along)), np.int64(np.ceil(u + along)) + 1
+        top, bottom = np.int64(np.floor(v - down)), np.int64(np.ceil(v + down)) + 1
+        good = False
+        if left >= 0 and top >= 0 and right <= width and bottom <= height:
+            inside = sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left]
+            good = inside == (right - left) * (bottom - top)
+        out[i] = good or _sampled_whole(valid, m, x - reach, y - reach, 2.0 * reach / parts, parts, rows, columns)

@@ -23,7 +23,6 @@ from featreg.types.arrays import (
     finite,
     kept,
     points,
-    read_only,
 )
 
 if TYPE_CHECKING:
@@ -131,8 +130,8 @@ class Features(ReadOnlyArrays, Shown):
 
     def take(self, rows: NDArray[Any], **new: Any) -> Self:
         """The features of the given rows (indices or a bool mask), in that order; with other columns where given."""
-        columns = {name: values for name, values in vars(self).items() if isinstance(values, np.ndarray)}
-        return replace(self, **({name: read_only(values[rows]) for name, values in columns.items()} | new))
+        found = self._with_rows(rows)
+        return replace(found, **new) if new else found
 
     def best(self, count: int) -> Self:
         """At most `count` features of the highest score, best first, ties in the order given."""

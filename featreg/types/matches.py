@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -101,20 +101,7 @@ class Matches(ReadOnlyArrays, Shown):
 
     def take(self, rows: NDArray[Any]) -> Self:
         """The matches of the given rows (indices or a bool mask), in that order."""
-
-        def pick(values: NDArray[Any] | None) -> NDArray[Any] | None:
-            return None if values is None else values[rows]
-
-        return replace(
-            self,
-            reference_xy=self.reference_xy[rows],
-            secondary_xy=self.secondary_xy[rows],
-            score=self.score[rows],
-            covariance=pick(self.covariance),
-            origin=self.origin[rows],
-            rotation=pick(self.rotation),
-            scale_ratio=pick(self.scale_ratio),
-        )
+        return self._with_rows(rows)
 
     def appended(self, more: Matches) -> Matches:
         """These matches followed by `more`; covariances unknown on one side are NaN, other extras are dropped there."""

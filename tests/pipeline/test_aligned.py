@@ -9,6 +9,8 @@ import pytest
 from featreg.geometry import Affine, Homography
 from featreg.interfaces import Model
 from featreg.pipeline import aligned
+from featreg.pipeline.aligned import WholeWindows
+from featreg.types import BoolArray, Image
 
 #: A map that turns, shifts and widens a little, and one that bends as well.
 AFFINE = Affine(np.array([[1.02, -0.03, 9.3], [0.03, 0.99, -4.6]]))
@@ -36,3 +38,29 @@ def test_an_image_longer_than_opencv_takes_is_resampled() -> None:
     for model in (shift, Homography(shift.matrix)):
         moved = aligned.warped(view, model, (3, 38_000), cv2.INTER_LINEAR, cv2.BORDER_REPLICATE)
         np.testing.assert_allclose(moved[1], np.arange(38_000) + 1000.5, atol=0.02)
+
+
+@pytest.mark.parametrize("turned", [0.0, 25.0, 45.0])
+def test_windows_that_are_whole_hold_nothing_invalid(turned: float) -> None:
+    """Against every pixel of every window; with the margin, hardly a whole one is refused."""
+    rng = np.random.default_rng(3)
+    mask = np.ones((200, 220), np.bool_)
+    mask[rng.integers(0, 200, 12), rng.integers(0, 220, 12)] = False
+    mask[150:, :40] = False
+    pixels = rng.gamma(4, 0.25, mask.shape).astype(np.float32)
+    reference, secondary = Image(pixels, np.ones_like(mask)), Image(pixels * mask, mask)
+    turn = np.radians(turned)
+    linear = 1.1 * np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    model = Affine(np.column_stack([linear, np.array([110.0, 100.0]) - linear @ (110.0, 100.0)]))
+    xy = np.column_stack([rng.integers(20, 200, 400), rng.integers(20, 180, 400)])
+
+    def whole(half: int) -> BoolArray:
+        away = np.stack(np.meshgrid(*[np.arange(-half, half + 0.1, 0.5)] * 2), -1).reshape(-1, 2)
+        x, y = np.rint(model((xy[:, None] + away).reshape(-1, 2))).astype(int).T
+        inside = (x >= 0) & (y >= 0) & (x < 220) & (y < 200)
+        return np.asarray((inside & mask[np.clip(y, 0, 199), np.clip(x, 0, 219)]).reshape(400, -1).all(axis=1))
+
+    found = WholeWindows(reference, secondary, model, 8).in_secondary(xy)
+    assert 20 < found.sum() < 380
+    assert whole(8)[found].all()
+    assert found[whole(8 + 4 + 5)].all()

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import fourier_shift, gaussian_filter
 
 from featreg.sar.correlation import local_correlations, peaks
-from featreg.sar.correlation_filter import SIDE, CorrelationFilter, _spectra, correlation_filter
+from featreg.sar.correlation_filter import SIDE, CorrelationFilter, _spectra, correlation_filter, square_corners
 from featreg.sar.correlation_filter_kernels import HALF, TERMS
 
 F32 = NDArray[np.float32]
@@ -27,8 +27,8 @@ def maps(
     return first.astype(np.float32), second.astype(np.float32)
 
 
-def made(first: F32, second: F32, valid: NDArray[np.bool_] | None = None) -> CorrelationFilter:
-    found = correlation_filter(first, second, valid)
+def made(first: F32, second: F32, corners: NDArray[np.int64] | None = None) -> CorrelationFilter:
+    found = correlation_filter(first, second, square_corners(first.shape) if corners is None else corners)
     assert found is not None
     return found
 
@@ -97,22 +97,22 @@ def test_mirrored_maps_are_filtered_alike() -> None:
     np.testing.assert_allclose(mirrored.applied(np.ascontiguousarray(first[:, ::-1]))[:, ::-1], plain, atol=0.05)
 
 
-def test_only_valid_squares_count() -> None:
+def test_only_the_given_squares_count() -> None:
     first, second = maps(0.3)
-    valid = np.zeros(first.shape, np.bool_)
-    valid[:, :150] = True
+    corners = square_corners(first.shape)
     spoilt = second.copy()
     spoilt[:, 150:] = 100 * np.random.default_rng(0).normal(size=(300, 150))
-    half, whole = made(first, spoilt, valid), made(first, second)
+    half, whole = made(first, spoilt, corners[corners[:, 0] <= 150 - SIDE]), made(first, second)
     np.testing.assert_allclose(half.coherence[1:9], whole.coherence[1:9], atol=0.1)
-    assert correlation_filter(first, second, np.zeros(first.shape, np.bool_)) is None
+    assert correlation_filter(first, second, corners[:0]) is None
 
 
 def test_nothing_in_common_or_no_room_is_no_filter() -> None:
     first, _ = maps(0.1)
-    assert correlation_filter(first, np.zeros_like(first)) is None
-    assert correlation_filter(first[:20], first[:20]) is None
-    assert correlation_filter(first, -first) is None
+    corners = square_corners(first.shape)
+    assert correlation_filter(first, np.zeros_like(first), corners) is None
+    assert not len(square_corners((20, 300)))
+    assert correlation_filter(first, -first, corners) is None
 
 
 def test_spectra_are_those_of_the_fast_transform() -> None:

@@ -90,7 +90,7 @@ def test_filtered_windows_are_those_of_the_filtered_map(image: Image) -> None:
     noise = np.random.default_rng(2).gamma(4.0, 0.25, image.shape).astype(np.float32)
     other = log_amplitude(as_image(image.amplitude * noise))
     view = log_amplitude(image)
-    best = correlation_filter(view, other)
+    best = correlation_filter(view, other, square_corners(view.shape))
     assert best is not None
     at = square_corners(image.shape)
     squares = (np.stack([v[y : y + 32, x : x + 32] for x, y in at]) for v in (view, other))
