@@ -53,6 +53,8 @@ class Kernel:
         self.function, self.inline = function, inline
         self._bound: tuple[Bound, ...] = ()
         self._dispatcher: Any = None
+        #: Kinds of arguments for which nothing is prepared.
+        self._unprepared: set[tuple[str, ...] | None] = set()
         update_wrapper(self, function)
 
     def __call__(self, *values: Any) -> Any:
@@ -65,14 +67,19 @@ class Kernel:
         return self._first(values)
 
     def _first(self, values: tuple[Any, ...]) -> Any:
-        """The first call with arguments of these kinds."""
-        with _lock:
-            # Another thread may have bound it since.
-            found = next((bound for bound in self._bound if bound.fits(values)), None)
-            if found is None:
-                found = prepared(self, key_of(values))
-                if found is not None:
-                    self._bound = (*self._bound, found)
+        """The first call with arguments of these kinds, and every one that numba's code serves."""
+        key = key_of(values)
+        found = None
+        if key not in self._unprepared:
+            with _lock:
+                # Another thread may have bound it since.
+                found = next((bound for bound in self._bound if bound.fits(values)), None)
+                if found is None:
+                    found = prepared(self, key)
+                    if found is None:
+                        self._unprepared.add(key)
+                    else:
+                        self._bound = (*self._bound, found)
         return self.dispatcher(*values) if found is None else found(values)
 
     @property

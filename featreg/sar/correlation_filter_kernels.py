@@ -73,8 +73,8 @@ def _with_rim(row: F32, start: int, out: F32) -> None:
     first, last = max(0, -start), min(count, n - start)
     for c in range(first):
         out[c] = row[mirrored(start + c, n)]
-    if last > first:
-        out[first:last] = row[start + first : start + last]
+    for c in range(first, last):
+        out[c] = row[start + c]
     for c in range(max(first, last), count):
         out[c] = row[mirrored(start + c, n)]
 

@@ -92,4 +92,5 @@ def summed_spectra(first: F32, second: F32, out: F32) -> None:
         for i in range(first.shape[2]):
             a, b, c, d = first[0, k, i], first[1, k, i], second[0, k, i], second[1, k, i]
             _products(a[:side], a[side:], b[:side], b[side:], c[:side], c[side:], d[:side], d[side:], sums)
-        out[:, k] = sums
+        for y in range(side):
+            out[0, k, y], out[1, k, y], out[2, k, y] = sums[0, y], sums[1, y], sums[2, y]

@@ -178,4 +178,5 @@ def climbed(
                 x, y = to_x, to_y
             step = 1
         now[i, 0], now[i, 1] = x, y
-        nine[i] = values[y + far - 1 : y + far + 2, x + far - 1 : x + far + 2]
+        for k in range(9):
+            nine[i, k // 3, k % 3] = values[y + far + k // 3 - 1, x + far + k % 3 - 1]

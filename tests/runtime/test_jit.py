@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from featreg.runtime import jit
+
 ROOT = Path(__file__).parents[2]
 
 
@@ -75,3 +77,19 @@ def test_compiled_code_is_kept_where_the_user_says(unwritable: Path, tmp_path: P
     done = run(unwritable, "-c", "import featreg.warming as w; print(w.cache_folders())", NUMBA_CACHE_DIR=str(tmp_path))
     assert str(tmp_path) in done.stdout
     assert not done.stderr
+
+
+def test_what_is_not_prepared_is_sought_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    sought: list[object] = []
+
+    def prepared(kernel: object, key: object) -> None:
+        sought.append(key)
+
+    monkeypatch.setattr(jit, "prepared", prepared)
+    kernel = jit.compiled(_doubled)
+    assert [kernel(value) for value in (3.0, 4.0, 5)] == [6.0, 8.0, 10]
+    assert sought == [("float",), ("int",)]
+
+
+def _doubled(value: float) -> float:
+    return 2 * value
