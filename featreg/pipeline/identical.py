@@ -66,8 +66,9 @@ def identical_pixels(reference: Image, secondary: Image) -> BoolArray | None:
     if count > MOST * same.size:
         return None
     drawn = _drawn(reference, secondary)
-    if count >= LEAST or drawn.any():
-        same = _beyond_chance(same, np.abs(a), np.abs(b)) | drawn
+    if count >= LEAST or drawn is not None:
+        same = _beyond_chance(same, np.abs(a), np.abs(b))
+        same = same if drawn is None else same | drawn
         if np.count_nonzero(same) >= LEAST and _likeness(reference, secondary, same) < ALIKE:
             return np.ones_like(same) if _detail(reference, secondary, _widened(same, RINGING)) >= PATTERN else same
     nothing = np.zeros_like(same)
@@ -166,8 +167,11 @@ def _whole_numbers(samples: F32) -> NDArray[np.int32] | None:
     return whole if bool((whole == samples).all()) else None
 
 
-def _drawn(reference: Image, secondary: Image) -> BoolArray:
-    """(H, W) pixels of the same bright or dark drawing on both images, which compression has made differ a little."""
+def _drawn(reference: Image, secondary: Image) -> BoolArray | None:
+    """(H, W) pixels of the same bright or dark drawing on both images, which compression has made differ a little.
+
+    None where there is none.
+    """
     import cv2
 
     from featreg.pipeline import identical_kernels as kernels
@@ -176,47 +180,56 @@ def _drawn(reference: Image, secondary: Image) -> BoolArray:
     mask = reference.mask if secondary.all_valid else secondary.mask
     if not (reference.all_valid or secondary.all_valid):
         mask = reference.mask & secondary.mask
-    found = np.zeros_like(mask)
-    count = np.count_nonzero(mask)
-    if not count:
-        return found
-    # Drawn at random, as rows and columns may be those of a grid.
-    some = np.random.default_rng(0).integers(0, count, SAMPLES)
-    if count < mask.size:
-        some = np.flatnonzero(mask.ravel())[some]
+    some = _some(mask)
+    if not len(some):
+        return None
     median, ninth = np.transpose([_deciles(view.ravel()[some]) for view in (first, second)])
     dark, bright = np.float32(DRAWN_DARK * min(median)), max(ninth)
     top = max(cv2.minMaxLoc(view, mask.view(np.uint8))[1] for view in (first, second))
     grey, white = (np.float32(max(bright, share * top)) for share in (DRAWN_GREY, DRAWN_BRIGHT))
     noise = np.float32(GREY_NOISE * top)
-    bits = np.empty(mask.shape, np.uint8)
+    bits, around = np.empty(mask.shape, np.uint8), np.empty(3, np.int64)
     kernels.drawable(first, second, mask, dark, grey, white, noise, bits)
-    # How many pixels have each combination of the bits.
-    histogram = np.rint(cv2.calcHist([bits], [0], None, [256], [0, 256])).astype(np.int64).ravel()
 
     def number(bit: np.uint8) -> int:
-        return int(histogram[(np.arange(256) & int(bit)) > 0].sum())
+        return int(np.count_nonzero(bits & bit))
 
+    outline = OUTLINE * (2 * AROUND + 1) ** 2
+    found: NDArray[np.uint8] | None = None
     for one, other in (
         (kernels.DARK_BOTH, kernels.DARK_EITHER),
         (kernels.WHITE_BOTH, kernels.WHITE_EITHER),
         (kernels.GREY_BOTH, kernels.GREY_EITHER),
     ):
-        darkest = max(number(kernels.DARK_FIRST), number(kernels.DARK_SECOND)) if one == kernels.DARK_BOTH else 0
-        if number(one) < max(LEAST, SHARED_DARK * darkest):
+        count = number(one)
+        if count < LEAST:
             continue
-        both = (bits & one) > 0
-        shared = _count_around(both)
-        at = np.flatnonzero(both & (shared >= STROKE))
-        if not len(at):
+        if one == kernels.DARK_BOTH and count < SHARED_DARK * max(
+            number(kernels.DARK_FIRST), number(kernels.DARK_SECOND)
+        ):
             continue
-        around = shared.ravel()[at]
-        alike = around >= np.float32(OVERLAP) * _count_around((bits & other) > 0).ravel()[at]
+        alike = np.zeros(mask.shape, np.uint8)
+        flat, into = bits.ravel(), alike.ravel()
+        kernels.alike_around(
+            flat, reference.shape[1], int(one), int(other), AROUND, STROKE, np.float32(OVERLAP), outline, into, around
+        )
         # Two lakes, or two bright fields, overlap inside; a drawing has the same outline on both.
-        outline = around <= OUTLINE * (2 * AROUND + 1) ** 2
-        if np.count_nonzero(alike & outline) > SAME_OUTLINE * np.count_nonzero(outline):
-            found.ravel()[at[alike]] = True
-    return found if np.count_nonzero(found) <= MOST_DRAWN * found.size else np.zeros_like(found)
+        if around[2] > SAME_OUTLINE * around[1]:
+            found = alike if found is None else found | alike
+    if found is None or not 0 < np.count_nonzero(found) <= MOST_DRAWN * found.size:
+        return None
+    return found.view(np.bool_)
+
+
+def _some(mask: BoolArray) -> IntArray:
+    """About `SAMPLES` places of a mask, drawn at random, as rows and columns may be those of a grid."""
+    rng = np.random.default_rng(0)
+    drawn = rng.integers(0, mask.size, SAMPLES)
+    good = drawn[mask.ravel()[drawn]]
+    if len(good) >= SAMPLES // 2:
+        return good
+    every = np.flatnonzero(mask.ravel())
+    return every[rng.integers(0, len(every), SAMPLES)] if len(every) else every
 
 
 def _deciles(values: F32) -> tuple[float, float]:
@@ -225,15 +238,6 @@ def _deciles(values: F32) -> tuple[float, float]:
     at = np.array([0.5, 0.9]) * (len(ranked) - 1)
     low = at.astype(np.int64)
     return tuple((ranked[low] + (at - low) * (ranked[np.minimum(low + 1, len(ranked) - 1)] - ranked[low])).tolist())
-
-
-def _count_around(which: BoolArray) -> NDArray[np.uint8]:
-    """(H, W) how many pixels of a mask lie in the square of 15 px around each."""
-    import cv2
-
-    box = (2 * AROUND + 1, 2 * AROUND + 1)
-    count = cv2.boxFilter(which.view(np.uint8), -1, box, normalize=False, borderType=cv2.BORDER_CONSTANT)
-    return np.asarray(count, np.uint8)
 
 
 def _likeness(reference: Image, secondary: Image, same: BoolArray) -> float:
@@ -288,22 +292,33 @@ def _better_elsewhere(first: FloatArray, second: FloatArray) -> bool:
 def _detail(reference: Image, secondary: Image, same: BoolArray) -> float:
     """Correlation of the finest detail, each pixel less its 3 x 3 mean in logarithms, in the middle of the images.
 
-    Without the pixels of `same`; 0 where fewer than half are left.
+    Without the pixels of `same`; 0 where fewer than half are left. A quarter of the middle tells where there is none.
     """
+    few = _detail_within(reference, secondary, same, CROP // 2)
+    if few is not None and few < PATTERN / 2:
+        return few
+    return _detail_within(reference, secondary, same, CROP) or 0.0
+
+
+def _detail_within(reference: Image, secondary: Image, same: BoolArray, side: int) -> float | None:
+    """`_detail` in a square of the middle; None where fewer than half of its pixels are left."""
     import cv2
 
-    middle = tuple(slice(max(0, n // 2 - CROP // 2), n // 2 + CROP // 2) for n in reference.shape)
-    use = (reference.mask & secondary.mask & ~same)[middle]
-    if np.count_nonzero(use) < 0.5 * use.size:
-        return 0.0
+    middle = tuple(slice(max(0, n // 2 - side // 2), n // 2 + side // 2) for n in reference.shape)
+    use = reference.mask[middle] & secondary.mask[middle] & ~same[middle]
+    count = np.count_nonzero(use)
+    if count < 0.5 * use.size:
+        return None
     views: list[FloatArray] = []
     for image in (reference, secondary):
         amplitude = np.ascontiguousarray(np.abs(image.pixels[middle]))
         view = cv2.log(np.maximum(amplitude, 1e-2 * float(amplitude.mean()) + 1e-30).astype(np.float32))
-        views.append((view - cv2.blur(view, (3, 3)))[use].astype(np.float64))
-    if min(view.std() for view in views) < 1e-6:
+        fine = (view - cv2.blur(view, (3, 3)))[use].astype(np.float64)
+        views.append(fine - fine.mean())
+    squares = [float(fine @ fine) for fine in views]
+    if min(squares) < 1e-12 * count:
         return 0.0
-    return float(np.corrcoef(views[0], views[1])[0, 1])
+    return float(views[0] @ views[1]) / math.sqrt(squares[0] * squares[1])
 
 
 def _widened(mask: BoolArray, by: int = 1) -> BoolArray:

@@ -155,6 +155,27 @@ def test_what_may_be_drawn_is_told_pixel_by_pixel() -> None:
         np.testing.assert_array_equal((bits & bit) > 0, mask & where)
 
 
+def test_drawings_are_compared_in_the_squares_around_what_they_share() -> None:
+    rng = np.random.default_rng(5)
+    bits = np.zeros((60, 71), np.uint8)
+    bits[rng.random(bits.shape) < 0.1] |= kernels.GREY_EITHER
+    bits[:30][rng.random((30, 71)) < 0.4] |= kernels.GREY_BOTH | kernels.GREY_EITHER
+    found, counts = np.zeros(bits.shape, np.uint8), np.empty(3, np.int64)
+    both, either = ((bits & bit) > 0 for bit in (kernels.GREY_BOTH, kernels.GREY_EITHER))
+    shared, total = (
+        cv2.boxFilter(which.astype(np.float32), -1, (15, 15), normalize=False, borderType=cv2.BORDER_CONSTANT)
+        for which in (both, either)
+    )
+    bit, other = int(kernels.GREY_BOTH), int(kernels.GREY_EITHER)
+    kernels.alike_around(bits.ravel(), 71, bit, other, 7, 12, np.float32(0.9), 80.0, found.ravel(), counts)
+    looked = both & (shared >= 12)
+    alike = looked & (shared >= np.float32(0.9) * total)
+    np.testing.assert_array_equal(found > 0, alike)
+    outline = looked & (shared <= 80)
+    assert counts.tolist() == [looked.sum(), outline.sum(), (alike & outline).sum()]
+    assert 0 < alike.sum() < looked.sum()
+
+
 def test_only_the_drawing_and_its_rim_become_invalid() -> None:
     mark = marked("frame and label") | (np.random.default_rng(4).random((SIDE, SIDE)) < 0.002)
     a, b = (as_image(np.where(mark, np.float32(900), seen(scene(s), s))) for s in (3, 4))
