@@ -15,7 +15,7 @@ from featreg.interfaces import Descriptor
 from featreg.registry import register
 from featreg.runtime.parameters import Count, Positive
 from featreg.sar.pyramid import REACH, SUPPORT, clear, pyramid
-from featreg.sar.speckle import despeckled_bytes
+from featreg.sar.speckle import despeckled_bytes_around
 from featreg.types import Features, FloatArray, Image, read_only
 
 TURNS = 72
@@ -70,7 +70,9 @@ class Brief(Descriptor):
         for number in np.flatnonzero(np.bincount(numbers, minlength=len(chain))).tolist():
             level = chain[number]
             allowed = clear(level, self.radius + REACH).view(np.uint8)
-            flat = despeckled_bytes(level, self.sigma).ravel()
+            some = features.xy[numbers == number]
+            at = np.rint((some + 0.5) * (np.array(level.shape) / image.shape)[::-1] - 0.5).astype(np.int64)
+            flat = despeckled_bytes_around(level, at, math.ceil(self.radius), self.sigma).ravel()
             size = image.shape[::-1]
             binary_kernels.describe_level(flat, allowed, features.xy, *size, numbers, number, table, turns, words, kept)
         index = np.flatnonzero(kept)

@@ -16,7 +16,7 @@ from featreg.runtime.parameters import Count, Positive
 from featreg.sar.gradients.ratio import quantised_edges, ratio_gradients
 from featreg.sar.keypoints.corners import fast_corners, orientation, refine_centroid, refine_corner
 from featreg.sar.pyramid import REACH, SUPPORT, clear, pyramid, share_out, to_base
-from featreg.sar.speckle import despeckled_bytes
+from featreg.sar.speckle import despeckled_bytes_around
 from featreg.types import Features, Image
 
 ORIENTATION_RADIUS = 15
@@ -83,7 +83,9 @@ class SarOfast(Detector):
         for level, (xy, score), count in zip(chain, found, counts, strict=True):
             at = xy[:count]
             moved, stable = self._subpixel(level, at)
-            view = despeckled_bytes(level) if self.centroid == "amplitude" else self._edges(level)
+            view = self._edges(level)
+            if self.centroid == "amplitude":
+                view = despeckled_bytes_around(level, at, ORIENTATION_RADIUS)
             parts.append(
                 (to_base(moved, level, image), orientation(view, at, ORIENTATION_RADIUS), score[:count], stable)
             )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Iterator
 from functools import partial
 from itertools import pairwise
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.runtime.threads import side_by_side
-from featreg.types import Image
+from featreg.types import Image, IntArray
 
 F32 = NDArray[np.float32]
 
@@ -21,6 +22,8 @@ FLOOR = 1e-2
 STRIP, STEPS = 1 << 16, 28
 # Pixels of an image from which on threads share out its rows, and into how many parts.
 LARGE, PARTS = 1 << 21, 8
+# Side of the squares in which bytes are made where points are, px, and the share of an image from which on all are.
+TILE, MANY = 16, 0.6
 # What the mean of the logarithm lies below the logarithm of the mean, about, of one look.
 BELOW_MEAN = 0.25
 # Side of the windows by which looks are told, variance below which one shows nothing, and the share of the most even.
@@ -51,7 +54,15 @@ def despeckled_bytes(image: Image, sigma: float = 1.0) -> NDArray[np.uint8]:
 
     A quarter of the memory, so that scattered look-ups stay in the cache; the step is a fifth of what speckle leaves.
     """
-    return image.derive(_despeckled_bytes, sigma=float(sigma))
+    return image.derive(_byte_view, sigma=float(sigma)).whole(image)
+
+
+def despeckled_bytes_around(image: Image, xy: IntArray, reach: int, sigma: float = 1.0) -> NDArray[np.uint8]:
+    """Return `despeckled_bytes`, of which only what lies up to `reach` px around points (N, 2) along x and y is made.
+
+    The rest is arbitrary, or what was made for points before; all of it where the points are many.
+    """
+    return image.derive(_byte_view, sigma=float(sigma)).around(image, xy, reach)
 
 
 def equivalent_looks(image: Image) -> float:
@@ -180,10 +191,66 @@ def _smoothed_strips(image: Image, sigma: float, start: int, stop: int) -> Itera
         yield first, last, smooth[first - above : last - above]
 
 
-def _despeckled_bytes(image: Image, sigma: float) -> NDArray[np.uint8]:
-    out = np.empty(image.shape, np.uint8)
-    _smooth(image, sigma, slice(None), np.empty((0, 0), np.float32), out)
-    return out
+class _ByteView:
+    """The despeckled bytes of an image, made square by square where they are asked for."""
+
+    def __init__(self, shape: tuple[int, int], sigma: float) -> None:
+        self.sigma, self.lock = sigma, threading.Lock()
+        self.steps = np.empty(shape, np.uint8)
+        self.made = np.zeros((-(-shape[0] // TILE), -(-shape[1] // TILE)), np.uint8)
+
+    def around(self, image: Image, xy: IntArray, reach: int) -> NDArray[np.uint8]:
+        if len(xy) * (2 * reach + TILE) ** 2 > MANY * self.steps.size:
+            return self.whole(image)
+        with self.lock:
+            if len(xy) and not self.made.all():
+                self._make(image, xy, reach)
+        return self._seen()
+
+    def whole(self, image: Image) -> NDArray[np.uint8]:
+        with self.lock:
+            if not self.made.all():
+                _smooth(image, self.sigma, slice(None), np.empty((0, 0), np.float32), self.steps)
+                self.made[:] = 2
+        return self._seen()
+
+    def _seen(self) -> NDArray[np.uint8]:
+        seen = self.steps.view()
+        seen.flags.writeable = False
+        return seen
+
+    def _make(self, image: Image, xy: IntArray, reach: int) -> None:
+        from featreg.sar import speckle_kernels
+
+        low, high = (np.clip((xy + by) // TILE, 0, np.array(self.made.shape[::-1]) - 1) for by in (-reach, reach))
+        # Squares in which points' own begin count one more, those behind their ends one less.
+        edges = np.zeros((self.made.shape[0] + 1, self.made.shape[1] + 1), np.int64)
+        for y, x, by in (
+            (low[:, 1], low[:, 0], 1), (low[:, 1], high[:, 0] + 1, -1),
+            (high[:, 1] + 1, low[:, 0], -1), (high[:, 1] + 1, high[:, 0] + 1, 1),
+        ):  # fmt: skip
+            np.add.at(edges, (y, x), by)
+        asked = edges.cumsum(axis=0).cumsum(axis=1)[:-1, :-1] > 0
+        self.made[asked & (self.made == 0)] = 1
+        floor, taps, offset = _byte_terms(image, self.sigma)
+        amplitude = np.ascontiguousarray(filled_amplitude(image))
+        speckle_kernels.smoothed_logarithms_of_tiles(
+            amplitude, floor, taps, np.float32(STEPS), offset, self.made, TILE, self.steps
+        )
+
+
+def _byte_view(image: Image, sigma: float) -> _ByteView:
+    return _ByteView(image.shape, sigma)
+
+
+def _byte_terms(image: Image, sigma: float) -> tuple[np.float32, F32, np.float32]:
+    """Least amplitude, taps of the Gaussian, and what is added to the steps."""
+    import cv2
+
+    reach = gaussian_reach(sigma)
+    taps = np.asarray(cv2.getGaussianKernel(2 * reach + 1, sigma).ravel()[reach:], np.float32)
+    # A half more rounds to the nearest.
+    return log_floor(image), taps, np.float32(_byte_offset(image) + 0.5)
 
 
 def _smooth(image: Image, sigma: float, rows: slice, smooth: F32, steps: NDArray[np.uint8]) -> None:
@@ -191,16 +258,11 @@ def _smooth(image: Image, sigma: float, rows: slice, smooth: F32, steps: NDArray
 
     Beyond the first and the last of the rows they are mirrored.
     """
-    import cv2
-
     from featreg.sar import speckle_kernels
 
-    reach = gaussian_reach(sigma)
-    taps = np.asarray(cv2.getGaussianKernel(2 * reach + 1, sigma).ravel()[reach:], np.float32)
-    # A half more rounds to the nearest.
-    offset = np.float32(_byte_offset(image) + 0.5)
+    floor, taps, offset = _byte_terms(image, sigma)
     amplitude = np.ascontiguousarray(filled_amplitude(image)[rows])
-    speckle_kernels.smoothed_logarithms(amplitude, log_floor(image), taps, np.float32(STEPS), offset, smooth, steps)
+    speckle_kernels.smoothed_logarithms(amplitude, floor, taps, np.float32(STEPS), offset, smooth, steps)
 
 
 def _byte_offset(image: Image) -> float:

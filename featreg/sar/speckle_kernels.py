@@ -68,3 +68,49 @@ def smoothed_logarithms(
             _in_steps(total, gain, offset, steps[y])
         else:
             smoothed_across(ring, places, taps, smooth[y])
+
+
+@compiled
+def smoothed_logarithms_of_tiles(
+    amplitude: F32, floor: np.float32, taps: F32, gain: np.float32, offset: np.float32, wanted: U8, side: int, steps: U8
+) -> None:
+    """As `smoothed_logarithms`, to `steps` (H, W), of the squares of `side` pixels whose number in `wanted` is 1.
+
+    `wanted` (rows, columns) of squares, those at the right and lower end being what is left; made ones become 2.
+    """
+    height, width = amplitude.shape
+    reach = taps.shape[0] - 1
+    count = 2 * reach + 1
+    ring = np.empty((count, width), np.float32)
+    line, total = np.empty(width + 2 * reach, np.float32), np.empty(width, np.float32)
+    places = np.empty(count, np.int64)
+    for row in range(wanted.shape[0]):
+        top, bottom = row * side, min((row + 1) * side, height)
+        column = 0
+        while column < wanted.shape[1]:
+            if wanted[row, column] != 1:
+                column += 1
+                continue
+            first = column
+            while column < wanted.shape[1] and wanted[row, column] == 1:
+                wanted[row, column] = 2
+                column += 1
+            left, right = first * side, min(column * side, width)
+            start, stop = max(left - reach, 0), min(right + reach, width)
+            for y in range(top - reach, bottom + reach):
+                # `line` begins `reach` before the first wanted column.
+                within = start - left + reach
+                logarithms(amplitude[mirrored(y, height), start:stop], floor, line[within : within + stop - start])
+                for k in range(1, reach + 1):
+                    if left - k < 0:
+                        line[reach - k] = line[reach + mirrored(left - k, width) - left]
+                    if right - 1 + k >= width:
+                        line[reach + right - 1 + k - left] = line[reach + mirrored(right - 1 + k, width) - left]
+                at = (y - top + reach) % count
+                smoothed_along(line[: right - left + 2 * reach], taps, ring[at, : right - left])
+                if y < top + reach:
+                    continue
+                for k in range(count):
+                    places[k] = (y - top + reach - 2 * reach + k) % count
+                smoothed_across(ring[:, : right - left], places, taps, total[: right - left])
+                _in_steps(total[: right - left], gain, offset, steps[y - reach, left:right])

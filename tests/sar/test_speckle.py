@@ -15,6 +15,7 @@ from featreg.sar.speckle import (
     FLOOR,
     despeckled,
     despeckled_bytes,
+    despeckled_bytes_around,
     despeckled_halved,
     filled_amplitude,
     log_amplitude,
@@ -69,3 +70,20 @@ def test_large_views_are_the_same_bits_in_parts_and_on_any_number_of_threads(mon
             parts = despeckled(as_image(pixels)), despeckled_halved(as_image(pixels))
         for one, other in zip(parts, whole, strict=True):
             np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("shape", [(97, 61), (400, 333)])
+def test_bytes_around_points_are_those_of_the_whole_view(shape: tuple[int, int]) -> None:
+    rng = np.random.default_rng(3)
+    pixels, mask = rng.gamma(1.0, 1.0, shape).astype(np.float32), rng.random(shape) > 0.02
+    whole, image = despeckled_bytes(Image(pixels * mask, mask)), Image(pixels * mask, mask)
+    corner = np.array(shape[::-1]) - 1
+    points = np.array([[0, 0], corner, corner // 2])
+    for some in (points[:0], points[:1], points, np.repeat(points, 99, axis=0)):
+        found = despeckled_bytes_around(image, some, 9)
+        for x, y in some.tolist():
+            around = np.s_[max(y - 9, 0) : y + 10, max(x - 9, 0) : x + 10]
+            np.testing.assert_array_equal(found[around], whole[around])
+        assert not found.flags.writeable
+    np.testing.assert_array_equal(found, whole)
+    np.testing.assert_array_equal(despeckled_bytes(image), whole)
