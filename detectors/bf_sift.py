@@ -16,7 +16,7 @@ from featreg.runtime.parameters import Count, Positive
 from featreg.sar.gradients.bilateral import BilateralSpace, bilateral_extrema, bilateral_field, bilateral_level
 from featreg.sar.gradients.gradient_field import from_base
 from featreg.sar.keypoints.gradient_histograms import dominant_orientation
-from featreg.sar.keypoints.maxima import quadratic_peak
+from featreg.sar.keypoints.maxima import around, quadratic_steps
 from featreg.sar.pyramid import clear, pyramid, share_out, to_base
 from featreg.types import Features, FloatArray, Image, IntArray
 
@@ -25,7 +25,7 @@ Found = tuple[IntArray, FloatArray]
 NONE: Found = (np.zeros(0, np.int64), np.zeros(0))
 
 # Pixels of the image for each keypoint asked for, from which on the finer scales of an octave have enough extrema.
-PLENTY = 60
+PLENTY = 100
 
 
 @register("bf-sift")
@@ -43,7 +43,7 @@ class BfSift(Detector):
     threshold : least difference of log-amplitude
     quota_decay : a scale gets `quota_decay` times fewer keypoints than the finer one before it
     support : radius, in units of the scale's sigma, from which a keypoint is described; it must be free of nodata
-    thin : leave the coarsest scale of each octave out where the image has at least 60 pixels for each keypoint asked
+    thin : leave the coarsest scale of each octave out where the image has at least 100 pixels for each keypoint asked
         for, and an octave more than one scale
     skip : so many of the finest scales give no keypoints
     orientation_scale : the orientation is that of gradients whose sigma is so many times that of the keypoint, within
@@ -149,10 +149,8 @@ class BfSift(Detector):
 def _places(finer: F32, coarser: F32, flat: IntArray) -> FloatArray:
     """(N, 2) places between the pixels of extrema of the difference of two levels (H, W), by their flat indices."""
     width = finer.shape[1]
-    near = flat[:, None] + np.array([dy * width + dx for dy in (-1, 0, 1) for dx in (-1, 0, 1)])
-    around = coarser.ravel()[near] - finer.ravel()[near]
-    around = np.where(around[:, 4:5] < 0, -around, around)
-    # The neighbourhoods one below the other are a map with the extrema in its middle column.
-    middle = np.column_stack([np.ones(len(flat), np.int64), 3 * np.arange(len(flat)) + 1])
+    near = around(flat, width)
+    values = coarser.ravel()[near] - finer.ravel()[near]
     y, x = np.divmod(flat, width)
-    return np.column_stack([x, y]) + (quadratic_peak(around.reshape(-1, 3), middle) - middle)
+    # A least value is the greatest of what is turned round.
+    return np.column_stack([x, y]) + quadratic_steps(np.where(values[:, 4:5] < 0, -values, values))

@@ -22,7 +22,7 @@ from featreg.sar.keypoints.gradient_histograms import (
     normalised,
     row_length,
 )
-from featreg.sar.keypoints.maxima import interpolated, local_maxima, parabola_peak, quadratic_peak
+from featreg.sar.keypoints.maxima import interpolated, local_maxima, parabola_peak, quadratic_peak, quadratic_steps
 from featreg.sar.pyramid import to_base
 from featreg.types import Features, Image
 
@@ -210,6 +210,21 @@ def test_maxima_of_a_bump_between_the_pixels() -> None:
     found = local_maxima(bump, np.ones(bump.shape, np.bool_), 0.5, 10)
     assert found.tolist() == [[17, 13]]
     np.testing.assert_allclose(quadratic_peak(bump, found), [[17.3, 12.8]], atol=0.02)
+
+
+def test_tops_of_surfaces_are_those_of_least_squares_or_the_middle() -> None:
+    """Against numpy's formulas on squares of noise: half of them have no top, some one that is too far."""
+    p = np.random.default_rng(0).normal(size=(500, 3, 3)).astype(np.float32)
+    p[:400, 1, 1] += 2
+    q = p.astype(np.float64)
+    slope = np.stack([q[:, 1, 2] - q[:, 1, 0], q[:, 2, 1] - q[:, 0, 1]], axis=1) / 2
+    xx, yy = (q[:, 1, 2] + q[:, 1, 0], q[:, 2, 1] + q[:, 0, 1]) - 2 * q[:, 1, 1]
+    xy = (q[:, 2, 2] + q[:, 0, 0] - q[:, 0, 2] - q[:, 2, 0]) / 4
+    curve = np.stack([np.stack([xx, xy], axis=1), np.stack([xy, yy], axis=1)], axis=1)
+    wanted = np.asarray(-np.linalg.solve(curve, slope[:, :, None])[:, :, 0])
+    top = np.asarray((np.linalg.eigvalsh(curve) < 0).all(axis=1) & (np.abs(wanted) <= 1).all(axis=1))
+    np.testing.assert_allclose(quadratic_steps(p.reshape(500, 9)), wanted * top[:, None], atol=1e-9)
+    assert 100 < top.sum() < 450
 
 
 def test_maxima_come_highest_first_and_at_most_so_many(sar_texture: Texture) -> None:

@@ -43,17 +43,22 @@ def quadratic_peak(response: F32, at: IntArray) -> FloatArray:
     The surface has the central differences of the 3 x 3 neighbourhood (Brown and Lowe, BMVC 2002). Where it has no
     maximum, or one more than a pixel away, the pixel itself stays.
     """
-    x, y = at.T
-    p = {(i, j): response[y + j, x + i].astype(np.float64) for i in (-1, 0, 1) for j in (-1, 0, 1)}
-    gx, gy = (p[1, 0] - p[-1, 0]) / 2, (p[0, 1] - p[0, -1]) / 2
-    xx, yy = p[1, 0] + p[-1, 0] - 2 * p[0, 0], p[0, 1] + p[0, -1] - 2 * p[0, 0]
-    xy = (p[1, 1] + p[-1, -1] - p[1, -1] - p[-1, 1]) / 4
-    determinant = xx * yy - xy * xy
-    curved = (determinant > 0) & (xx < 0)
-    safe = np.where(curved, determinant, 1)
-    step = np.column_stack([(xy * gy - yy * gx) / safe, (xy * gx - xx * gy) / safe])
-    good = curved & (np.abs(step) <= 1).all(axis=1)
-    return np.asarray(at + np.where(good[:, None], step, 0.0))
+    width = response.shape[1]
+    return at + quadratic_steps(response.ravel()[around(at[:, 1] * width + at[:, 0], width)])
+
+
+def around(flat: IntArray, width: int) -> IntArray:
+    """Return the (N, 9) flat indices, in reading order, of the 3 x 3 pixels around inner ones (N,) of a map."""
+    return np.asarray(flat[:, None] + np.array([dy * width + dx for dy in (-1, 0, 1) for dx in (-1, 0, 1)]))
+
+
+def quadratic_steps(values: F32) -> FloatArray:
+    """Return the (N, 2) steps (x, y) of `quadratic_peak` from the middle of 3 x 3 values (N, 9) in reading order."""
+    from featreg.sar.keypoints import peak_kernels
+
+    steps = np.empty((len(values), 2))
+    peak_kernels.quadratic_steps(values, steps)
+    return steps
 
 
 def parabola_peak(before: FloatArray, here: FloatArray, after: FloatArray) -> FloatArray:
