@@ -184,7 +184,7 @@ def _gathered(
     gathered(known.here, known.error, known.design, known.weights, low, side, sums)
     sums = sums.reshape(CELLS * CELLS, -1)
     sums = sums[sums[:, 0] > 0]
-    total = sums[:, 0]
+    total = np.ascontiguousarray(sums[:, 0])
     mean = sums[:, 2:] / total[:, None]
     place = mean[:, :2]
     variance = np.maximum(mean[:, 2] - (place**2).sum(axis=1), 0) / 2
