@@ -29,6 +29,7 @@ from featreg.sar.orientation.pieces import (
     settled,
     shared_part,
 )
+from featreg.sar.orientation.scales import with_coarser
 from featreg.sar.orientation.search import Alignment, Correlator, Grid, scale_steps, search
 from featreg.sar.orientation.verification import DECIDED, Verified, near, verified
 from featreg.sar.orientation.windows import Surfaces, correlated
@@ -43,6 +44,8 @@ SIMILAR, OUTSTANDING = 3, 1.4
 FINE_SIDE, FINER = 256, 4
 #: Windows that determine an affine correction of the alignment, and a similarity.
 LEAST_AFFINE, LEAST_SIMILAR = 24, 6
+#: So many times what errors of windows add to the two further parameters of an affine correction, it has to add.
+SURE = 9.0
 #: Errors of windows below this are not told apart, samples.
 SCALE = 0.3
 #: An independent sample of a field for so many alpha^2 samples, as the errors on simulated pairs have it.
@@ -83,8 +86,10 @@ class OrientationCorrelation(Matcher):
     contrast, so that optical and SAR images compare. Every pixel votes in the search, which speckle does not survive;
     its peak does not tell related from unrelated images, so that several candidates are kept. Windows that do not
     overlap refine each of them together and then say, each by the rank of its own correlation there, whether it is
-    more than chance. The best one is followed to full resolution, where each window gives a tie point. Pixels that
-    stand alike in both images while their surroundings disagree do not vote.
+    more than chance. The best one is followed to full resolution, where each window gives a tie point; where speckle
+    leaves the windows at odds, with what twice as large ones say of coarser gradients
+    (`featreg.sar.orientation.scales`). Pixels that stand alike in both images while their surroundings disagree do not
+    vote.
 
     The covariance of a tie point is (1 - rho^2) / (n rho) times the inverse curvature of its peak of height rho, n the
     number of independent samples in the window.
@@ -217,6 +222,7 @@ class OrientationCorrelation(Matcher):
         while True:
             level = aligned(reference, secondary, affine, samples, self.alpha)
             found = correlated(level, self.window, self.search, self._step(level))
+            found = with_coarser(reference, secondary, level, found, samples, self.alpha)
             seen = peaks(found.values.astype(np.float64))
             if samples >= finest:
                 matches = self._matches(level, found, seen)
@@ -243,16 +249,26 @@ class OrientationCorrelation(Matcher):
 
 
 def _corrected(level: Level, found: Surfaces, seen: Peaks) -> FloatArray:
-    """The alignment after a robust fit to what the windows of a level say; as it was where they say too little."""
+    """The alignment after a robust fit to what the windows of a level say; as it was where they say too little.
+
+    It stays a similarity unless the windows, those that do not overlap, say more of an affine one than chance.
+    """
     good: BoolArray = seen.sound & (seen.height > 0)
     here, there = found.xy[good], found.xy[good] + seen.shift[good]
-    for kind, least in ((Affine, LEAST_AFFINE), (Similarity, LEAST_SIMILAR)):
+    fits: list[Model] = []
+    for kind, least in ((Similarity, LEAST_SIMILAR), (Affine, LEAST_AFFINE)):
         if len(here) < least:
             continue
         model, weights = irls(kind, here, there, weights=seen.height[good] ** 2, scale_px=SCALE, iterations=5)
-        if not isinstance(model, FailedFit) and np.count_nonzero(weights) >= least and model.matrix is not None:
-            return level.moved(model.matrix[:2])
-    return level.affine
+        if not isinstance(model, FailedFit) and np.count_nonzero(weights) >= least:
+            fits.append(model)
+    if len(fits) == 2:
+        beyond = ((fits[1](here) - fits[0](here)) ** 2).sum(axis=1).mean()
+        # The median of the squared length of two Gaussian errors is 2 ln 2 times the variance of each.
+        variance = np.median(fits[1].residuals(here, there) ** 2) / (2 * math.log(2))
+        if beyond < SURE * 2 * variance * found.side**2 / np.count_nonzero(level.valid):
+            fits.pop()
+    return level.affine if not fits or fits[-1].matrix is None else level.moved(fits[-1].matrix[:2])
 
 
 def _linearised(model: Model, shape: tuple[int, int]) -> FloatArray | None:

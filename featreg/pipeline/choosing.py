@@ -10,12 +10,8 @@ from featreg.pipeline.pipeline import Pipeline
 from featreg.presets import PRESETS
 from featreg.results.registration import Registration
 from featreg.runtime.timing import collecting, stage
-from featreg.sar.speckle import equivalent_looks
+from featreg.sar.speckle import equivalent_looks, unlike
 from featreg.types import Image
-
-#: Ratio of the looks of two images from which on they are of different kind. Dates of one sensor have at most 11 (8-bit
-#: products that were smoothed differently), an optical image against a SAR image mostly more, up to 200.
-UNLIKE = 12.0
 
 
 def registered(
@@ -56,10 +52,9 @@ def in_order(
     pipelines, probe : those made for unlike images first where the images are; the ``looks`` of both, and ``unlike``
     """
     looks = equivalent_looks(reference), equivalent_looks(secondary)
-    # Two that show no speckle are of one kind: both are infinite.
-    unlike = looks[0] != looks[1] and max(looks) >= UNLIKE * min(looks)
-    ordered = sorted(pipelines, key=lambda one: unlike and not PRESETS[one.name].for_unlike)
-    return ordered, {"looks": [round(one, 2) for one in looks], "unlike": unlike}
+    differ = unlike(reference, secondary)
+    ordered = sorted(pipelines, key=lambda one: differ and not PRESETS[one.name].for_unlike)
+    return ordered, {"looks": [round(one, 2) for one in looks], "unlike": differ}
 
 
 def first_trusted(

@@ -28,6 +28,9 @@ TILE, MANY = 16, 0.6
 BELOW_MEAN = 0.25
 # Side of the windows by which looks are told, variance below which one shows nothing, and the share of the most even.
 WINDOW, EVEN, FIFTH = 5, 1e-6, 0.2
+# Ratio of the looks of two images from which on they are of different kind. Dates of one sensor have at most 11 (8-bit
+# products that were smoothed differently), an optical image against a SAR image mostly more, up to 200.
+UNLIKE = 12.0
 
 
 def log_amplitude(image: Image) -> F32:
@@ -76,6 +79,13 @@ def equivalent_looks(image: Image) -> float:
     (nodata, saturation) say nothing.
     """
     return image.derive(_equivalent_looks)
+
+
+def unlike(reference: Image, secondary: Image) -> bool:
+    """Return whether the speckle of two images says that they are of different kind, as an optical and a SAR image."""
+    looks = equivalent_looks(reference), equivalent_looks(secondary)
+    # Two that show no speckle are of one kind: both are infinite.
+    return looks[0] != looks[1] and max(looks) >= UNLIKE * min(looks)
 
 
 def filled_amplitude(image: Image) -> F32:

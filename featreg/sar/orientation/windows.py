@@ -32,11 +32,13 @@ class Surfaces:
     values : (N, 2 S + 1, 2 S + 1) float32 correlation coefficients; element [i, S + dy, S + dx] for the window of the
         second field displaced by (dx, dy)
     samples : (N,) float64 samples of a window that both images hold
+    side : samples along a window
     """
 
     xy: FloatArray
     values: F32
     samples: FloatArray
+    side: int
 
     def __len__(self) -> int:
         return len(self.xy)
@@ -63,8 +65,6 @@ def correlated(level: Level, side: int, reach: int, step: int | None = None, mos
     """
     import cv2
 
-    from featreg.sar.orientation import window_kernels
-
     height, width = level.valid.shape
     step = step or side
     count = [max(0, (n - side) // step + 1) for n in (height, width)]
@@ -79,9 +79,27 @@ def correlated(level: Level, side: int, reach: int, step: int | None = None, mos
     if most is not None and len(kept) > most:
         kept = kept[np.arange(most) * len(kept) // most]
     at, samples = at[kept], samples[kept]
+    return Surfaces(at[:, ::-1] + (side - 1) / 2, _values(level, at, side, reach), samples.astype(np.float64), side)
+
+
+def correlated_around(level: Level, reference_xy: FloatArray, side: int, reach: int) -> F32:
+    """As the values of `correlated`, of windows around (N, 2) points of the reference, moved into the level."""
+    room = np.array(level.valid.shape)
+    side = min(side, *level.valid.shape)
+    back = np.linalg.inv(level.to_reference)
+    middle = reference_xy @ back[:2, :2].T + back[:2, 2]
+    return _values(
+        level, np.clip(np.rint(middle[:, ::-1] - (side - 1) / 2).astype(np.int64), 0, room - side), side, reach
+    )
+
+
+def _values(level: Level, at: IntArray, side: int, reach: int) -> F32:
+    """(N, 2 S + 1, 2 S + 1) coefficients of the windows that begin at (y, x), (N, 2), S being the reach."""
+    from featreg.sar.orientation import window_kernels
+
     values = np.zeros((len(at), 2 * reach + 1, 2 * reach + 1), np.float32)
     (_directly if side + 2 * reach <= window_kernels.MOST_WIDE else _by_spectra)(level, at, side, reach, values)
-    return Surfaces(at[:, ::-1] + (side - 1) / 2, values, samples.astype(np.float64))
+    return values
 
 
 def _directly(level: Level, at: IntArray, side: int, reach: int, values: F32) -> None:

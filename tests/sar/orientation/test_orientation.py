@@ -207,11 +207,11 @@ def test_stacked_sums_what_each_surface_holds_where_it_is_moved() -> None:
 def test_chance_is_fishers() -> None:
     rng = np.random.default_rng(4)
     values = rng.normal(size=(20, 25, 25)).astype(np.float32)
-    of_noise = log10_chance(Surfaces(np.zeros((20, 2)), values, np.ones(20)), 1)
+    of_noise = log10_chance(Surfaces(np.zeros((20, 2)), values, np.ones(20), 16), 1)
     assert -3 < of_noise <= 0
     values[:, 12, 12] += 10
-    of_peaks = log10_chance(Surfaces(np.zeros((20, 2)), values, np.ones(20)), 1)
+    of_peaks = log10_chance(Surfaces(np.zeros((20, 2)), values, np.ones(20), 16), 1)
     # Five of 23^2 positions see the peak: the disc of one pixel around each is a cross.
     assert of_peaks == pytest.approx(gamma.logsf(20 * math.log(23**2 / 5), 20) / math.log(10), abs=1e-6)
     assert _log10_gamma_tail(7.5, 4) == pytest.approx(gamma.logsf(7.5, 4) / math.log(10))
-    assert log10_chance(Surfaces(np.zeros((0, 2)), values[:0], np.zeros(0)), 1) == 0
+    assert log10_chance(Surfaces(np.zeros((0, 2)), values[:0], np.zeros(0), 16), 1) == 0
