@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import posixpath
 import re
 import zipfile
@@ -42,6 +43,8 @@ SMALLEST_STEP = 1e-100
 ARCHIVE = re.compile(r"/vsizip/\{(.+?)\}/(.*)", re.DOTALL)
 #: Bytes of a file by which its kind is told.
 HEAD = 64
+#: What follows the name of an image in those of its overviews, of its mask, and of theirs.
+COMPANION = re.compile(r"(?:\.(?:ovr|msk))+")
 #: What stands before the name of a file of overviews that lies beside its image.
 BESIDE = ":::BASE:::"
 
@@ -244,20 +247,39 @@ def _check_companions(dataset: Any, called: str) -> None:
     if said and (beside == said or Path(beside).name != beside):
         raise InputError(f"{called}: names overviews elsewhere ('{said[:80]}'), which is refused; remove that entry")
     image = str(dataset.name)
-    overviews = [
-        image + ".ovr",
-        image + ".OVR",
-        *([posixpath.join(posixpath.dirname(image), beside)] if beside else []),
-    ]
-    for kind, names in (("overviews", overviews), ("a mask", [image + ".msk", image + ".MSK"])):
-        for name in names:
-            head = _beginning(name)
-            if head is None:
-                continue
-            driver = driver_by_content(head)
-            if driver is None or driver.name == "VRT" or (kind == "overviews" and driver.name not in ("GTiff", "HFA")):
-                shown = ARCHIVE.sub(r"\1:\2", name)
-                raise InputError(f"{shown}: is not a file of {kind} as its name says, which is refused; remove it")
+    paths = os.path if ARCHIVE.fullmatch(image) is None else posixpath
+    folder, base = paths.split(image)
+    for name in _listed(folder):
+        kind = _companion(name.lower(), base.lower(), beside.lower())
+        head = None if kind is None else _beginning(paths.join(folder, name))
+        if head is None:
+            continue
+        driver = driver_by_content(head)
+        if driver is None or driver.name == "VRT" or (kind == "overviews" and driver.name not in ("GTiff", "HFA")):
+            shown = ARCHIVE.sub(r"\1:\2", paths.join(folder, name))
+            raise InputError(f"{shown}: is not a file of {kind} as its name says, which is refused; remove it")
+
+
+def _companion(name: str, image: str, beside: str) -> str | None:
+    """What GDAL takes a file for by its name, in whatever letters: overviews or a mask of an image, or of either."""
+    if beside and name == beside:
+        return "overviews"
+    for of in (image, beside) if beside else (image,):
+        if name.startswith(of) and COMPANION.fullmatch(name, len(of)):
+            return "overviews" if name.endswith(".ovr") else "a mask"
+    return None
+
+
+def _listed(folder: str) -> list[str]:
+    """Names in a folder, or in one of an archive; none where it cannot be listed."""
+    inside = ARCHIVE.fullmatch(folder + "/")
+    try:
+        if inside is None:
+            return sorted(os.listdir(folder))
+        with zipfile.ZipFile(inside[1]) as archive:
+            return [name.removeprefix(inside[2]) for name in archive.namelist() if name.startswith(inside[2])]
+    except OSError:
+        return []
 
 
 def _beginning(name: str) -> bytes | None:

@@ -186,7 +186,10 @@ def virtual(source: str, relative: int = 0) -> str:
     return f'<VRTDataset rasterXSize="{W}" rasterYSize="{H}">{band}</VRTDataset>'
 
 
-@pytest.mark.parametrize(("suffix", "kind"), [(".ovr", "overviews"), (".msk", "a mask")])
+@pytest.mark.parametrize(
+    ("suffix", "kind"),
+    [(".ovr", "overviews"), (".msk", "a mask"), (".Ovr", "overviews"), (".mSK", "a mask"), (".msk.ovr", "overviews")],
+)
 @pytest.mark.parametrize("archived", [False, True])
 def test_a_virtual_raster_is_no_file_of_overviews_and_no_mask(
     tmp_path: Path, suffix: str, kind: str, archived: bool
