@@ -16,8 +16,8 @@ F32 = NDArray[np.float32]
 LEAST, MOST = 20, 0.7
 #: So many times more often than by chance a value stands at the same place in both images; most values that are asked.
 EXCESS, MOST_VALUES = 4.0, 256
-#: Of larger images so many pixels or up to twice as many tell how often a value is met, and the largest whole number
-#: that is counted without sorting.
+#: Of larger images about so many pixels tell how often a value is met, and the largest whole number that is counted
+#: without sorting.
 MOST_COUNTED, MOST_WHOLE = 1 << 17, (1 << 16) - 1
 #: Share of a square that is identical where an area is, whatever its values, and the square.
 DENSE, DENSE_BOX = 0.6, (9, 9)
@@ -129,6 +129,9 @@ def _beyond_chance(same: BoolArray, a: F32, b: F32) -> BoolArray:
     if len(often):
         # How often each would meet by chance, of large images from so many of their pixels.
         share = max(1, a.size // MOST_COUNTED)
+        while math.gcd(share, a.shape[1]) > 1:
+            # Every nth pixel shall lie in every column, not in a few that may be those of a frame.
+            share += 1
         chance = np.full(len(often), share * share / a.size)
         for view in (a, b):
             chance *= _counts_of(often, view.ravel()[::share])

@@ -43,7 +43,8 @@ def without_drawn(
     around = together(here, there)
     if around is not None:
         same = identical_pixels(reference.read(around), secondary.read(around))
-        first, second = (None if same is None else part_of(same, window, around) for window in (here, there))
+        parts = (None if same is None else part_of(same, window, around) for window in (here, there))
+        first, second = (part if part is not None and part.any() else None for part in parts)
     else:
         first = identical_pixels(seen, secondary.read(here))
         second = identical_pixels(reference.read(there), seen_there)

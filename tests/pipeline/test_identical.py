@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from featreg.pipeline.identical import _counted, _counts_of
+from featreg.pipeline import identical
+from featreg.pipeline.identical import _beyond_chance, _counted, _counts_of
 
 
 @pytest.mark.parametrize("gain", [1.0, 0.37])
@@ -16,3 +17,15 @@ def test_values_are_counted_as_numpy_counts_them(gain: float) -> None:
     asked = np.append(samples[:7], np.array([-1, 1e6, 0.5 * gain], np.float32))
     np.testing.assert_array_equal(_counts_of(asked, samples), [np.count_nonzero(samples == one) for one in asked])
     assert len(_counted(samples[:0])[0]) == 0
+
+
+@pytest.mark.parametrize("column", [1, 128])
+def test_lines_along_columns_are_met_wherever_they_lie(column: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every nth pixel, asked how often a value is met by chance, shall not be all of a line's pixels."""
+    monkeypatch.setattr(identical, "MOST_COUNTED", 1 << 9)
+    rng = np.random.default_rng(6)
+    first, second = rng.gamma(1.0, 1.0, (2, 256, 256)).astype(np.float32)
+    first[:, column] = second[:, column] = 0.7
+    first[0, 0] = 9.0
+    found = _beyond_chance(first == second, first, second)
+    np.testing.assert_array_equal(np.flatnonzero(found.all(axis=0)), [column])

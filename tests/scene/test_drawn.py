@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 import featreg
 from featreg.io import as_image
+from featreg.io.excerpt import together
 from featreg.io.raster_source import ImageSource, Window
+from featreg.pipeline.identical import identical_pixels
 from featreg.scene.drawn import moving, without_drawn
 from featreg.simulate import sar_pair
 from featreg.types import Matches
@@ -62,6 +64,21 @@ def test_what_is_drawn_on_one_of_two_windows_alone_is_told_of(places: list[NDArr
     assert share is not None
     assert share == pytest.approx((seen_there.pixels == WHITE).mean(), rel=0.3)
     assert secondary.mask.mean() < 1 - share / 2
+
+
+def test_what_is_drawn_beside_both_windows_is_not_told_of(places: list[NDArray[np.float32]]) -> None:
+    here, there = Window(0, 0, 300, 300), Window(60, 60, 300, 300)
+    around = together(here, there)
+    assert around is not None
+    drawn, corner = np.zeros((SIDE, SIDE), np.uint8), np.s_[:60, 300:360]
+    cv2.putText(drawn, "12", (306, 44), cv2.FONT_HERSHEY_SIMPLEX, 1.2, 255, 2)
+    first, second = sources(*(np.where(drawn > 0, WHITE, np.minimum(image, WHITE)) for image in places))
+    same = identical_pixels(first.read(around), second.read(around))
+    assert same is not None
+    assert same[corner].any()
+    seen, seen_there = first.read(here), second.read(there)
+    reference, secondary, share = without_drawn(first, second, here, there, seen, seen_there)
+    assert (reference, secondary, share) == (seen, seen_there, None)
 
 
 def test_scenes_of_one_place_or_of_two_sizes_are_left_as_they_are(places: list[NDArray[np.float32]]) -> None:
