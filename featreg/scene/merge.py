@@ -25,9 +25,9 @@ FAR_PX = 6.0
 #: Tie points of a block that can speak for it, and how near to each other, in px, the displacements of half of them lie
 #: where they were not measured by correlation.
 CHECK_POINTS, COHERENT_PX = 8, 2.0
-#: By how many standard deviations of a Poisson count the displacements that lie together must exceed chance, and how
-#: often their middle is sought anew.
-SIGMAS, CENTRED = 6.0, 3
+#: By how many standard deviations of a Poisson count the displacements that lie together must exceed chance, how often
+#: their middle is sought anew, and of how many displacements at most one is where that search begins.
+SIGMAS, CENTRED, STARTS = 6.0, 3, 500
 #: Fewest blocks of which every second one is left out of a fit; of fewer, every second tie point is.
 LEAST_FOR_CHESS = 4
 
@@ -260,7 +260,8 @@ def _together(away: FloatArray) -> BoolArray | None:
 
     What lies around them, up to three times as far, tells how many would lie together by chance.
     """
-    centre = away[(np.hypot(*(away[:, None] - away[None]).transpose(2, 0, 1)) <= COHERENT_PX).sum(axis=1).argmax()]
+    starts = away[:: -(-len(away) // STARTS)]
+    centre = starts[(np.hypot(*(starts[:, None] - away[None]).transpose(2, 0, 1)) <= COHERENT_PX).sum(axis=1).argmax()]
     for _ in range(CENTRED):
         centre = np.mean(away[np.hypot(*(away - centre).T) <= COHERENT_PX], axis=0)
     distance = np.hypot(*(away - centre).T)

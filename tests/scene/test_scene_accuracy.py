@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 from typing import Any
 
@@ -19,7 +20,7 @@ from featreg.pipeline.feature_matcher import FeatureMatcher
 from featreg.pipeline.refine import Refine
 from featreg.results.registration import Registration
 from featreg.scene.blocks import halo_of
-from featreg.scene.merge import Merged, block_errors
+from featreg.scene.merge import Merged, _together, block_errors
 from featreg.simulate.scene import simulate_scene
 from featreg.types import Image, Matches
 
@@ -151,6 +152,18 @@ def test_windows_that_are_noisy_themselves_tell_by_what_most_of_a_block_say() ->
     others = np.delete(errors, 12)
     assert np.isfinite(others).sum() > 18
     assert np.nanmax(others) < 1.5
+
+
+def test_what_very_many_points_of_a_block_say_needs_little_memory() -> None:
+    rng = np.random.default_rng(7)
+    away = np.concatenate([rng.normal([3.5, 0], 1.0, (2400, 2)), rng.uniform(-30, 30, (1600, 2))])
+    tracemalloc.start()
+    found = _together(rng.permutation(away))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert found is not None
+    assert 1500 < np.count_nonzero(found) < 2400
+    assert peak < 100 << 20
 
 
 @pytest.fixture(scope="module")
