@@ -3,6 +3,7 @@ clear and map their pages each time."""
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import os
 import sys
@@ -11,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import lru_cache
 from math import prod
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,6 +26,9 @@ SEEN = (32 << 20) - (8 << 10)
 
 #: Most of what was freed inside `reusing` that stays with the process afterwards, bytes, and as a share of the memory.
 MOST_STAYS, STAYING_SHARE = 3 << 29, 1 / 16
+
+#: Where Linux says how much memory a container may use, control groups of version 2 and 1.
+CONTAINER_LIMITS = (Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"))
 
 #: Numbers of glibc's parameters: how much of the heap's end may be free before it is given back, and how many arrays
 #: are mapped each by itself, and given back so; what the second is from the start.
@@ -50,9 +55,10 @@ def reusing() -> Iterator[None]:
 
     The maps of an image of 16 million pixels are mapped, cleared and given back by the system each time that one is
     made, by all threads' or libraries' code that makes them: a quarter to a half of the processor's time of a pair.
-    Here each page is cleared once. Afterwards a sixteenth of the machine's memory, 1.5 GB at most, stays with the
-    process for the next pair. Blocks may lie in each other or run side by side. Nothing happens where the C library is
-    not glibc.
+    Here each page is cleared once. Afterwards up to a sixteenth of the memory, 1.5 GB at most, stays with the process
+    for the next pair, and glibc no longer adapts its thresholds to what the process frees. Blocks may lie in each other
+    or run side by side. Nothing happens where the C library is not glibc of 2.33 or later, or where ``MALLOC_...`` or
+    ``GLIBC_TUNABLES`` in the environment say how it is to be.
     """
     global _reusing
     library = _glibc()
@@ -79,7 +85,17 @@ def reusing() -> Iterator[None]:
 
 def _staying() -> int:
     """How many free bytes may stay with the process."""
-    return min(MOST_STAYS, int(STAYING_SHARE * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")))
+    return min(MOST_STAYS, int(STAYING_SHARE * _memory()))
+
+
+def _memory() -> int:
+    """Bytes of memory that this process may use: of the machine, or of the container where that has fewer."""
+    most = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    for limit in CONTAINER_LIMITS:
+        # There is no such file, or it says "max".
+        with contextlib.suppress(OSError, ValueError):
+            most = min(most, int(limit.read_text()))
+    return most
 
 
 class _MallocInfo(ctypes.Structure):

@@ -7,6 +7,7 @@ import platform
 import subprocess
 import sys
 import threading
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -101,3 +102,12 @@ def test_bytes_are_kept_as_well() -> None:
         assert first.dtype == np.uint8
         assert first.flags.c_contiguous
         assert np.shares_memory(first, scratch_bytes("bytes", (3, 4)))
+
+
+@pytest.mark.skipif(buffers._glibc() is None, reason="of glibc's habit")
+def test_what_stays_is_a_share_of_what_a_container_may_use(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    limits = tmp_path / "max", tmp_path / "limit_in_bytes", tmp_path / "missing"
+    monkeypatch.setattr(buffers, "CONTAINER_LIMITS", limits)
+    limits[0].write_text("max\n")
+    limits[1].write_text(f"{1 << 26}\n")
+    assert buffers._staying() == 1 << 22
