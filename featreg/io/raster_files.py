@@ -99,8 +99,8 @@ def unchanged() -> Iterator[None]:
     outer = getattr(_local, "stamps", None)
     _local.stamps = {} if outer is None else outer
     try:
-        rasterio = sys.modules.get("rasterio")
-        with nullcontext() if rasterio is None else rasterio.Env():
+        # Another thread may just be importing it.
+        with getattr(sys.modules.get("rasterio"), "Env", nullcontext)():
             yield
     finally:
         _local.stamps = outer

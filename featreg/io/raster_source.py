@@ -45,7 +45,7 @@ __all__ = [
 
 #: Bytes at either end of a file that identify it together with its size and time.
 FINGERPRINT = 1 << 16
-#: Ends of the names of files beside an image that hold none of its samples.
+#: Ends of the names of files beside an image that hold none of the samples that are read.
 NOT_READ = (".aux.xml", ".ovr", ".OVR")
 
 
@@ -288,7 +288,7 @@ def fingerprint(source: str | Path) -> dict[str, Any]:
     files = [file for file in files_of(str(source)) if not file.endswith(NOT_READ)]
     if path.is_dir():
         return {"files": [_fingerprint(Path(file)) for file in files], "name": str(path.absolute())}
-    more = [_fingerprint(Path(file)) for file in files if Path(file) != path.absolute()]
+    more = [_fingerprint(Path(file)) for file in files if Path(file).absolute() != path.absolute()]
     return {**_fingerprint(path), "beside": more} if more else _fingerprint(path)
 
 

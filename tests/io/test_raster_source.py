@@ -328,3 +328,9 @@ def test_what_lies_beside_a_scene_tells_it_from_another(tmp_path: Path) -> None:
     before = open_source(tmp_path / "v.vrt").identity()
     write(tmp_path / "b.tif", amplitude(5)).replace(path)
     assert open_source(tmp_path / "v.vrt").identity() != before
+
+
+def test_a_scene_is_the_same_by_whatever_name_it_is_called(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    np.save(tmp_path / "a.npy", amplitude(0))
+    monkeypatch.chdir(tmp_path)
+    assert open_source("a.npy").identity() == open_source(tmp_path / "a.npy").identity()
