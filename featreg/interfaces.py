@@ -50,6 +50,13 @@ class Detector(Plugin):
         returned at once; the descriptor stage is then skipped.
         """
 
+    def for_pair(self, reference: Image, secondary: Image) -> Self:
+        """Return the detector that finds keypoints alike in two images that are matched: itself, unless sizes decide.
+
+        Whoever leaves something out of large images does so in both or in neither.
+        """
+        return self
+
     @property
     def reach(self) -> float:
         """How far from a keypoint pixels may lie that decide on it, px; no keypoint's `scale` is larger.

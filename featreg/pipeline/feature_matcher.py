@@ -62,7 +62,8 @@ class FeatureMatcher(Matcher):
 
     def match(self, reference: Image, secondary: Image) -> Matches:
         with stage("detect"), keeping():
-            found = self._each(self._detect, [(reference,), (secondary,)])
+            detector = self.detector.for_pair(reference, secondary)
+            found = self._each(self._detect, [(detector, reference), (detector, secondary)])
         if not len(found[0]) or not len(found[1]):
             return Matches.empty()
         rotation = self._vote(reference, secondary, *found)
@@ -81,9 +82,9 @@ class FeatureMatcher(Matcher):
             scale_ratio=b.scale[j] / np.maximum(a.scale[i], 1e-9),
         )
 
-    def _detect(self, image: Image) -> Features:
+    def _detect(self, detector: Detector, image: Image) -> Features:
         with keeping():
-            return self.detector.detect_features(image).best(self.n_features)
+            return detector.detect_features(image).best(self.n_features)
 
     def _describe(self, image: Image, features: Features) -> Features:
         # A descriptor that was asked for describes, whatever the detector may have returned.

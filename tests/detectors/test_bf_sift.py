@@ -254,6 +254,14 @@ def test_the_coarsest_scale_of_an_octave_is_not_needed_where_there_are_pixels_en
     assert (np.isin([2, 5], found.level) == all_scales).all()
 
 
+def test_the_smaller_of_a_pair_decides_on_the_scales_of_both(sar_texture: Texture) -> None:
+    large, small = as_image(sar_texture(200, 200)), as_image(sar_texture(198, 200))
+    found = registry.create("detector", "bf-sift", n_features=400, quota_decay=1.0, support=4.0)
+    for pair, all_scales in (((large, large), False), ((large, small), True), ((small, large), True)):
+        levels = found.for_pair(*pair).detect_features(large).level
+        assert (np.isin([2, 5], levels) == all_scales).all()
+
+
 def test_gain_changes_nothing(sar_texture: Texture) -> None:
     amplitude = sar_texture(200, 200)
     first, second = (detect(as_image(a), n_features=500) for a in (amplitude, amplitude * np.float32(1000)))

@@ -324,6 +324,15 @@ def test_every_other_scale_does_where_there_are_pixels_enough(
     assert (np.abs(np.log2(found.scale / around)) <= step / 6 + 1e-9).all()
 
 
+def test_the_smaller_of_a_pair_decides_on_the_scales_of_both(sar_texture: Texture) -> None:
+    large, small = as_image(sar_texture(126, 126)), as_image(sar_texture(100, 126))
+    found = registry.create("detector", "sar-harris", n_features=300, scales=4, support=6.0)
+    for pair, step in (((large, large), 2), ((large, small), 1), ((small, large), 1), ((small, small), 1)):
+        for picture in pair:
+            levels = found.for_pair(*pair).detect_features(picture).level
+            np.testing.assert_array_equal(np.unique(levels), np.arange(0, 4, step))
+
+
 def test_gain_moves_nothing(sar_texture: Texture) -> None:
     first, second = (detect(as_image(sar_texture() * np.float32(gain))) for gain in (1, 1024))
     np.testing.assert_allclose(first.xy, second.xy, atol=1e-3)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import pytest
@@ -45,6 +45,25 @@ class Fixed(Detector):
 
     def detect_features(self, image: Image) -> Features:
         return self.found
+
+
+@dataclass(frozen=True)
+class OfPairs(Fixed):
+    """Other points where two images are matched."""
+
+    shared: Features
+
+    def for_pair(self, reference: Image, secondary: Image) -> Self:
+        return replace(self, found=self.shared)
+
+
+def test_both_images_get_the_detector_of_their_pair(sar_texture: Texture) -> None:
+    picture, none = as_image(sar_texture(120, 120)), Features.empty()
+    points = registry.create("detector", "sar-ofast", n_features=50).detect_features(picture)
+    found = replace(matcher(common=False), detector=OfPairs(none, points)).match(picture, picture)
+    assert len(found) > 20
+    np.testing.assert_array_equal(found.reference_xy, found.secondary_xy)
+    assert not len(replace(matcher(common=False), detector=Fixed(none)).match(picture, picture))
 
 
 def test_a_common_rotation_gives_more_correct_matches_and_is_the_true_one(turned_pair: SimulatedPair) -> None:
