@@ -209,6 +209,11 @@ class _ByteView:
         self.steps = np.empty(shape, np.uint8)
         self.made = np.zeros((-(-shape[0] // TILE), -(-shape[1] // TILE)), np.uint8)
 
+    @property
+    def nbytes(self) -> int:
+        """What it holds, for the store of derived maps."""
+        return self.steps.nbytes + self.made.nbytes
+
     def around(self, image: Image, xy: IntArray, reach: int) -> NDArray[np.uint8]:
         if len(xy) * (2 * reach + TILE) ** 2 > MANY * self.steps.size:
             return self.whole(image)

@@ -29,7 +29,8 @@ class DerivedMaps:
     """A bounded store of `function(image, **params)` results, one lock per key.
 
     The key is the function's full name and its parameters, so two stages that ask for the same map share one result
-    without knowing each other. Least recently used maps go first once `max_bytes` is exceeded.
+    without knowing each other. Least recently used maps go first once `max_bytes` is exceeded; a result that is neither
+    array, image nor dataclass says its `nbytes` itself.
     """
 
     def __init__(self, max_bytes: int = MAX_BYTES) -> None:
@@ -67,7 +68,7 @@ class DerivedMaps:
         for array in arrays:
             array.flags.writeable = False
         with self._lock:
-            size = sum(a.nbytes for a in arrays)
+            size = sum(a.nbytes for a in arrays) or sum(getattr(part, "nbytes", 0) for part in parts)
             self._maps[key] = (value, size)
             self._bytes += size
             while self._bytes > self._max_bytes and len(self._maps) > 1:

@@ -14,6 +14,7 @@ from featreg import registry
 from featreg.errors import ParameterError
 from featreg.io import as_image
 from featreg.sar.pyramid import pyramid, to_base
+from featreg.sar.speckle import despeckled_bytes
 from featreg.types import Features, Image
 
 Texture = Callable[..., NDArray[np.float32]]
@@ -111,6 +112,20 @@ def test_the_scale_chooses_the_level(sar_texture: Texture, level: int) -> None:
     alone = describe(Image(np.array(small.amplitude), np.array(small.mask)), at(xy))
     assert len(found) == 30
     np.testing.assert_array_equal(bits(found), bits(alone))
+
+
+def test_few_points_have_the_bits_of_the_whole_view(sar_texture: Texture) -> None:
+    """Also halfway between the pixels of a level, where a point may go either way."""
+    amplitude, between = sar_texture(260, 390), np.arange(32.0, 268.0, 13.0)
+    chain = pyramid(as_image(amplitude), 2, 1.3)
+    xy = np.column_stack([between * 390 / chain[1].shape[1] - 0.5, np.full(len(between), 130.0)])
+    whole = as_image(amplitude)
+    for level in pyramid(whole, 2, 1.3):
+        despeckled_bytes(level)
+    wanted = describe(whole, at(xy, scale=26.0, angle=0.7), levels=2, factor=1.3)
+    for i in range(len(xy)):
+        alone = describe(as_image(amplitude), at(xy[i : i + 1], scale=26.0, angle=0.7), levels=2, factor=1.3)
+        np.testing.assert_array_equal(bits(alone)[0], bits(wanted)[i])
 
 
 def test_scales_beyond_the_pyramid_use_its_ends(sar_texture: Texture) -> None:

@@ -162,6 +162,16 @@ def test_what_a_dataclass_of_maps_holds_counts_as_memory() -> None:
     assert made == [1, 2, 1]
 
 
+def test_views_made_in_parts_count_as_memory() -> None:
+    from featreg.sar.speckle import _byte_view
+
+    maps, picture = DerivedMaps(max_bytes=15_000), image(100, 100)
+    first = maps.get(picture, _byte_view, {"sigma": 1.0})
+    assert maps.get(picture, _byte_view, {"sigma": 1.0}) is first
+    maps.get(picture, _byte_view, {"sigma": 2.0})
+    assert maps.get(picture, _byte_view, {"sigma": 1.0}) is not first
+
+
 def test_derived_maps_stay_out_of_the_pickle() -> None:
     made = image(100, 100)
     before = len(pickle.dumps(made))
