@@ -59,7 +59,7 @@ def entropy(
     place.set(xlabel="iterations", ylabel="entropy, nats")
     place.legend(fontsize=9)
     text = f"{what}; without error {image_entropy(clean):.2f} nats. At the end: {'; '.join(said)}."
-    order = ranked({name: ends[name] for name, _, _ in runs})
+    order = ranked({name: ends[name] for name, _, _ in runs}, digits=2)
     return Figure.of(number, "Entropy over the iterations", text, f"{beside} Here, in nats: {order}.", drawn), results
 
 

@@ -77,10 +77,10 @@ def show(place: Any, image: NDArray[Any], title: str = "", decibels: float = 40.
     place.set(xticks=[], yticks=[], title=title)
 
 
-def ranked(values: Mapping[str, float], unit: str = "") -> str:
-    """Names and their values from the largest to the smallest, in words."""
+def ranked(values: Mapping[str, float], unit: str = "", digits: int = 0) -> str:
+    """Names and their values, to so many digits behind the point, from the largest to the smallest, in words."""
     order = sorted(values, key=lambda name: -values[name])
-    return ", ".join(f"{name} {values[name]:.3g}{unit}" for name in order)
+    return ", ".join(f"{name} {values[name]:.{digits}f}{unit}" for name in order)
 
 
 def write_page(path: Path, parts: Sequence[tuple[str, str, Sequence[Figure]]], head: str) -> None:

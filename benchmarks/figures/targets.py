@@ -109,9 +109,9 @@ def angles(count: int, seed: int) -> list[Figure]:
     of = {title.split(":")[0]: [run.label for run in runs] for title, runs in titles.items()}
     beside = {
         "Figure 5": "In the paper RC is the best and CC the worst of the three. Here, standard deviation in degrees: "
-        f"{ranked({label: spread[label] for label in of['Figure 5']})}.",
+        f"{ranked({label: spread[label] for label in of['Figure 5']}, digits=3)}.",
         "Figure 6": "In the paper the angles scatter more without cancellation than in Figure 5. Here, standard "
-        f"deviation in degrees: {ranked({label: spread[label] for label in of['Figure 6']})}.",
+        f"deviation in degrees: {ranked({label: spread[label] for label in of['Figure 6']}, digits=3)}.",
         "Figure 7": "In the paper the CLS fails, with angles below 2 degrees, also with cancellation. Here are below 2 "
         f"degrees: {ranked({label: share[label] for label in of['Figure 7']}, ' %')}.",
     }
