@@ -69,7 +69,9 @@ def warm_up() -> None:
         warp(result, image, like=SHAPE)
     focus(complex_[1])
     offsets(*real, window=32)
+    _warm_drawings(*real)
     _warm_windows(real[0])
+    _warm_pieces(real[0])
     _warm_agreement(real[0])
     _warm_geometry()
 
@@ -80,11 +82,36 @@ def _warm_windows(pixels: Any) -> None:
 
     from featreg.io import as_image
     from featreg.sar.correlation import local_correlations
+    from featreg.sar.speckle import despeckled_bytes_around
     from featreg.sar.windows import aligned_windows, gaussian
 
     image, at = as_image(pixels), np.array([[60, 60], [80, 90]])
     aligned_windows(image, np.tile(np.eye(2, 3), (2, 1, 1)), image.shape, at - 16, 32, gaussian(1.0))
     local_correlations(pixels, pixels, at, 5, 1)
+    despeckled_bytes_around(image, at, 4)
+
+
+def _warm_drawings(reference: Any, secondary: Any) -> None:
+    """Look for what is drawn on both images where something is: a bright bar."""
+    import numpy as np
+
+    from featreg.io import as_image
+    from featreg.pipeline.identical import identical_pixels
+
+    bar = np.zeros(SHAPE, np.bool_)
+    bar[90:93, 20:180] = True
+    bright = np.float32(4 * reference.max())
+    identical_pixels(*(as_image(np.where(bar, bright, pixels)) for pixels in (reference, secondary)))
+
+
+def _warm_pieces(pixels: Any) -> None:
+    """Filter an image that is wide enough to be filtered in pieces."""
+    import numpy as np
+
+    from featreg.io import as_image
+    from featreg.sar.gradients.gabor import PIECE, gabor_gradients
+
+    gabor_gradients(as_image(np.tile(pixels[:20], (1, PIECE // pixels.shape[1] + 2))), sigma=1.0, orientations=2)
 
 
 def _warm_agreement(pixels: Any) -> None:
