@@ -120,14 +120,15 @@ class RasterSource(SampleSource):
         """
         mask = fingerprint(self.mask) if isinstance(self.mask, str) else self.mask
         more = {} if self.calibrate is None else {"calibrate": self.calibrate}
+        head = self.head
         return {
             **more,
             **fingerprint(self.path),
-            "says": digest_value([self.head.first, self.head.geolocation]),
+            "says": digest_value([[head.bands[i] for i in head.choice.bands], head.geolocation]),
             "shape": list(self.shape),
             "scale": self.known_scale,
             "nodata": None if self.nodata is None else str(self.nodata),
-            "band": list(self.head.choice.bands),
+            "band": list(head.choice.bands),
             "mask": mask,
         }
 

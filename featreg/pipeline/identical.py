@@ -295,7 +295,8 @@ def _better_elsewhere(first: FloatArray, second: FloatArray) -> bool:
 def _detail(reference: Image, secondary: Image, same: BoolArray) -> float:
     """Correlation of the finest detail, each pixel less its 3 x 3 mean in logarithms, in the middle of the images.
 
-    Without the pixels of `same`; 0 where fewer than half are left. A quarter of the middle tells where there is none.
+    Without the pixels of `same`; 0 where fewer than half are left or they are all alike. A quarter of the middle tells
+    where there is none.
     """
     few = _detail_within(reference, secondary, same, CROP // 2)
     if few is not None and few < PATTERN / 2:
@@ -304,7 +305,7 @@ def _detail(reference: Image, secondary: Image, same: BoolArray) -> float:
 
 
 def _detail_within(reference: Image, secondary: Image, same: BoolArray, side: int) -> float | None:
-    """`_detail` in a square of the middle; None where fewer than half of its pixels are left."""
+    """`_detail` in a square of the middle; None where fewer than half of its pixels are left, or they are all alike."""
     import cv2
 
     middle = tuple(slice(max(0, n // 2 - side // 2), n // 2 + side // 2) for n in reference.shape)
@@ -320,7 +321,7 @@ def _detail_within(reference: Image, secondary: Image, same: BoolArray, side: in
         views.append(fine - fine.mean())
     squares = [float(fine @ fine) for fine in views]
     if min(squares) < 1e-12 * count:
-        return 0.0
+        return None
     return float(views[0] @ views[1]) / math.sqrt(squares[0] * squares[1])
 
 

@@ -334,3 +334,17 @@ def test_a_scene_is_the_same_by_whatever_name_it_is_called(tmp_path: Path, monke
     np.save(tmp_path / "a.npy", amplitude(0))
     monkeypatch.chdir(tmp_path)
     assert open_source("a.npy").identity() == open_source(tmp_path / "a.npy").identity()
+
+
+def test_what_a_file_says_of_any_band_that_is_read_tells_a_scene_from_another(tmp_path: Path) -> None:
+    import rasterio
+
+    kind: Any = {"driver": "GTiff", "dtype": "float32", "height": SHAPE[0], "width": SHAPE[1], "count": 2}
+    with rasterio.open(tmp_path / "a.tif", "w", **kind) as dataset:
+        dataset.write(np.stack([amplitude(0), amplitude(1)]))
+    seen = [open_source(tmp_path / "a.tif", band=band).identity() for band in ("iq", 1)]
+    text = '<PAMDataset><PAMRasterBand band="2"><Scale>3</Scale></PAMRasterBand></PAMDataset>'
+    (tmp_path / "a.tif.aux.xml").write_text(text)
+    now = [open_source(tmp_path / "a.tif", band=band).identity() for band in ("iq", 1)]
+    assert now[0] != seen[0]
+    assert now[1] == seen[1]

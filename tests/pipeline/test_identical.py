@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
+from featreg.io import as_image
 from featreg.pipeline import identical
-from featreg.pipeline.identical import _beyond_chance, _counted, _counts_of
+from featreg.pipeline.identical import CROP, PATTERN, _beyond_chance, _counted, _counts_of, _detail
 
 
 @pytest.mark.parametrize("gain", [1.0, 0.37])
@@ -29,3 +31,18 @@ def test_lines_along_columns_are_met_wherever_they_lie(column: int, monkeypatch:
     first[0, 0] = 9.0
     found = _beyond_chance(first == second, first, second)
     np.testing.assert_array_equal(np.flatnonzero(found.all(axis=0)), [column])
+
+
+def test_a_pattern_is_seen_around_a_middle_that_shows_nothing() -> None:
+    rng = np.random.default_rng(8)
+    gains = rng.gamma(9.0, 1.0, (200, 200))
+    images = (gains * rng.gamma(9.0, 1.0, (2, 200, 200))).astype(np.float32)
+    unlike = rng.gamma(9.0, 1.0, (2, 200, 200)).astype(np.float32)
+    for pair in (images, unlike):
+        # A quarter of what is looked at, calm water that was quantised to 0.
+        pair[:, 100 - CROP // 4 : 100 + CROP // 4, 100 - CROP // 4 : 100 + CROP // 4] = 0
+    # Its shore is one of both, and left out.
+    shore = cv2.morphologyEx((images[0] == 0).view(np.uint8), cv2.MORPH_GRADIENT, np.ones((5, 5), np.uint8)) > 0
+    first, second = (_detail(as_image(pair[0]), as_image(pair[1]), shore) for pair in (images, unlike))
+    assert first > 2 * PATTERN
+    assert abs(second) < PATTERN / 2
