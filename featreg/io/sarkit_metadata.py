@@ -1,4 +1,4 @@
-"""What SICD, SIDD and CPHD share: sarkit (the `sicd` extra) where it is there, and the errors it raises on metadata."""
+"""What SICD and SIDD share: sarkit (the `sicd` extra) where it is there, and the errors it raises on metadata."""
 
 from __future__ import annotations
 

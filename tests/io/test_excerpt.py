@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -67,3 +69,9 @@ def test_files_are_looked_at_once_while_they_are_taken_for_unchanged(scene: Sour
             assert stamp_of(scene.name) == before
         assert stamp_of(scene.name) == before
     assert stamp_of(scene.name) != before
+
+
+def test_a_library_that_another_thread_is_importing_is_let_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "rasterio", ModuleType("rasterio"))
+    with unchanged():
+        assert "rasterio" in sys.modules
