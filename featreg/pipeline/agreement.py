@@ -238,8 +238,8 @@ class Agreement:
 
         Notes
         -----
-        Shifts by which less than half of an image's side is left in common add to others, by which a quarter to a half
-        is: the sums of either are small.
+        Shifts by which less than a quarter of an image's side is left in common add to others, by which a quarter to a
+        half is: the sums of either are small.
         """
         import cv2
 
@@ -331,8 +331,10 @@ def _sampled(
 
     second_mask = _usable(secondary, without)
     if second_mask.size:
-        reach = max(1, math.ceil(step / 2 * zoom))
-        second_mask = np.asarray(cv2.erode(second_mask, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)), np.uint8)
+        # A model gone wrong may zoom by anything: along one axis after the other, and no farther than the image.
+        side = 2 * min(max(1, math.ceil(step / 2 * zoom)), max(second_mask.shape)) + 1
+        for shape in ((1, side), (side, 1)):
+            second_mask = np.asarray(cv2.erode(second_mask, np.ones(shape, np.uint8)), np.uint8)
     out, valid = np.empty(size[::-1], np.float32), np.empty(size[::-1], np.bool_)
     tall, wide = view.pixels.shape
     kernels.sampled(

@@ -191,8 +191,10 @@ class WholeWindows:
             maps = np.ascontiguousarray(matrix[None, :2])
         else:
             maps = local_affines(self.model, xy.astype(np.float64))
-        stretch = np.abs(maps[:, :, :2]).sum(axis=2).max()
-        parts = math.ceil(2 * self.reach * min(max(stretch, 1.0), 10.0) / SAMPLED_PX) if np.isfinite(stretch) else 1
+        stretch = np.abs(maps[:, :, :2]).sum(axis=2)
+        # What a model does not know of one window says nothing of the others.
+        most = min(float(stretch[np.isfinite(stretch)].max(initial=1.0)), 10.0)
+        parts = math.ceil(2 * self.reach * most / SAMPLED_PX)
         valid, sums = self.secondary.derive(_summed_clear)
         middles = np.ascontiguousarray(xy, np.int64)
         whole_windows(valid, sums, maps, middles, self.reach, parts, *self.reference.shape, good)

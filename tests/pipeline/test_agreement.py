@@ -60,6 +60,13 @@ def test_samples_lie_where_the_model_maps_and_what_they_show_is_valid(model: Mod
             assert box.shape != (9, 9) or not box.all()
 
 
+def test_a_model_that_zooms_beyond_all_measure_shares_nothing() -> None:
+    mask = np.ones((160, 170), np.bool_)
+    mask[:5] = False
+    reference, secondary = as_image(np.exp(rough(mask.shape, 1))), as_image(np.exp(rough(mask.shape, 2)), mask=mask)
+    assert Agreement.of(reference, secondary, Affine(np.array([[5e4, 0, 80.0], [0, 5e4, 80.0]]))) is None
+
+
 def test_a_view_shows_the_mean_around_each_pixel() -> None:
     """A ramp of the logarithm comes back as it is, at every zoom and size of samples."""
     amplitude = np.exp(np.linspace(0, 1, 96, dtype=np.float32)[None, :].repeat(80, axis=0))

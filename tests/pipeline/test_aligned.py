@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ from featreg.geometry import Affine, Homography
 from featreg.interfaces import Model
 from featreg.pipeline import aligned
 from featreg.pipeline.aligned import WholeWindows
-from featreg.types import BoolArray, Image
+from featreg.types import BoolArray, FloatArray, Image
 
 #: A map that turns, shifts and widens a little, and one that bends as well.
 AFFINE = Affine(np.array([[1.02, -0.03, 9.3], [0.03, 0.99, -4.6]]))
@@ -64,3 +66,22 @@ def test_windows_that_are_whole_hold_nothing_invalid(turned: float) -> None:
     assert 20 < found.sum() < 380
     assert whole(8)[found].all()
     assert found[whole(8 + 4 + 5)].all()
+
+
+def test_a_window_of_which_a_model_knows_nothing_leaves_the_others_as_they_are() -> None:
+    class Known:
+        """The identity, to the right of x = 50 only."""
+
+        matrix = None
+
+        def __call__(self, xy: FloatArray) -> FloatArray:
+            return np.where(xy[:, :1] < 50, np.nan, xy)
+
+    mask = np.ones((120, 200), np.bool_)
+    # Away from the middle, the corners and the middles of the sides of the window around it.
+    mask[60, 105] = False
+    secondary = Image(np.where(mask, np.float32(1), np.float32(0)), mask)
+    model: Any = Known()
+    whole = WholeWindows(Image(np.ones(mask.shape, np.float32), np.ones_like(mask)), secondary, model, 20)
+    found = whole.in_secondary(np.array([[30, 60], [100, 60], [160, 60]]))
+    assert found.tolist() == [False, False, True]
