@@ -256,7 +256,7 @@ def block_errors(merged: Merged, model: Model, count: int) -> FloatArray:
 
 
 def _together(away: FloatArray) -> BoolArray | None:
-    """(N,) displacements (N, 2) in px that lie together where most do; None where they hardly stand out.
+    """(N,) displacements (N, 2) in px of the largest group that lies together; None where it hardly stands out.
 
     What lies around them, up to three times as far, tells how many would lie together by chance.
     """
