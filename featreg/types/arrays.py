@@ -98,10 +98,13 @@ def column(values: ArrayLike, rows: int, what: str, dtype: Any = np.float64) -> 
 class ReadOnlyArrays:
     """Arrays come back from a pickle locked, as they were."""
 
-    def _with_rows(self, rows: NDArray[Any]) -> Self:
+    def _with_rows(self, rows: Any) -> Self:
         """The same with some rows of every array: what was checked when it was made needs no other check."""
         if np.ndim(rows) != 1 and not isinstance(rows, slice):
             raise InputError(f"rows must be (K,) indices or an (N,) bool mask, got shape {np.shape(rows)}")
+        if isinstance(rows, tuple):
+            # numpy takes one for an index along each axis.
+            rows = list(rows)
         new = object.__new__(type(self))
         columns = {name: values for name, values in vars(self).items() if isinstance(values, np.ndarray)}
         vars(new).update(vars(self), **{name: read_only(values[rows]) for name, values in columns.items()})

@@ -262,6 +262,25 @@ def test_take_picks_the_same_rows_of_everything() -> None:
         np.testing.assert_array_equal(getattr(taken, name), getattr(made, name)[rows])
 
 
+@pytest.mark.parametrize("rows", [[4], (4,), (1, 4), [], slice(2, 5), np.arange(6) > 2, range(3)])
+def test_rows_are_rows_however_they_are_listed(rows: Any) -> None:
+    made = features(6)
+    matches = Matches(made.xy, made.xy + 1, made.score)
+    at = np.arange(6)[list(rows) if isinstance(rows, tuple) else rows]
+    for found in (made.take(rows), matches.take(rows)):
+        np.testing.assert_array_equal(found.score, made.score[at])
+        assert len(found) == len(at)
+    np.testing.assert_array_equal(matches.take(rows).secondary_xy, made.xy[at] + 1)
+
+
+@pytest.mark.parametrize("rows", [3, "3", np.eye(6) > 0, [[1, 2]], None])
+def test_what_is_no_list_of_rows_is_refused(rows: Any) -> None:
+    made = features(6)
+    for take in (made.take, Matches(made.xy, made.xy, made.score).take):
+        with pytest.raises(InputError, match="rows must be"):
+            take(rows)
+
+
 def test_concatenated_and_empty_features() -> None:
     joined = Features.concatenate([features(2), Features.empty(), features(3)])
     assert len(joined) == 5
