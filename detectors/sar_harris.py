@@ -68,7 +68,7 @@ class SarHarris(Detector):
     support : radius in units of alpha from which a keypoint is described; it must be free of nodata and border
     finest : least alpha of the gradients from which an orientation is taken
     subscale : interpolate the scale between neighbouring ones by a parabola through the responses
-    thin : leave every other scale out of images with at least 50 pixels for each keypoint asked for
+    thin : leave every other scale out of images with at least 50 valid pixels for each keypoint asked for
     second : another peak of the histogram of directions of at least this share of the highest makes a further keypoint
         at the same place; 1: none does
 
@@ -88,7 +88,7 @@ class SarHarris(Detector):
     of alpha; both stay at the pixel and the layer where the fit leaves it. A keypoint has one orientation (`second`).
     Neighbouring scales find many corners twice. Where there are more than enough of them (`thin`), every other scale
     gives as many correct matches in a fifth to a half more places, for half of the work; small images need all.
-    Their size decides, not what is in them, and the smaller of a pair for both (`for_pair`): were only one of them
+    How many valid pixels they have decides, and the smaller of a pair for both (`for_pair`): were only one of them
     thinned, a fifth of the matches would be lost.
     """
 
@@ -137,7 +137,7 @@ class SarHarris(Detector):
         return everything.take(np.argsort(-everything.score, kind="stable")[: self.n_features])
 
     def _plenty(self, image: Image) -> bool:
-        return image.pixels.size >= PLENTY * self.n_features
+        return np.count_nonzero(image.mask) >= PLENTY * self.n_features
 
     def _layer(self, image: Image, number: int) -> _Layer:
         alpha = self.alpha * self.factor**number

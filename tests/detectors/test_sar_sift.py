@@ -333,6 +333,13 @@ def test_the_smaller_of_a_pair_decides_on_the_scales_of_both(sar_texture: Textur
             np.testing.assert_array_equal(np.unique(levels), np.arange(0, 4, step))
 
 
+def test_pixels_without_data_are_not_enough(sar_texture: Texture) -> None:
+    mask = np.ones((126, 126), np.bool_)
+    mask[:40] = False
+    found = detect(as_image(sar_texture(126, 126), mask=mask), n_features=300, scales=4, support=6.0)
+    assert set(found.level.tolist()) == {0, 1, 2, 3}
+
+
 def test_gain_moves_nothing(sar_texture: Texture) -> None:
     first, second = (detect(as_image(sar_texture() * np.float32(gain))) for gain in (1, 1024))
     np.testing.assert_allclose(first.xy, second.xy, atol=1e-3)
