@@ -14,8 +14,8 @@ F32 = NDArray[np.float32]
 
 #: Correlations are related to the energy at their place, at least to this share of the largest.
 LEAST_ENERGY = 0.3
-#: Surfaces that are kept at a time.
-BATCH = 32
+#: Surfaces that are kept at a time, and their bytes together, where one alone has fewer.
+BATCH, BATCH_BYTES = 32, 64 << 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,8 +60,9 @@ def best_places(here: F32, there: F32, corners: IntArray, side: int, reach: int,
         box = cv2.boxFilter(total, -1, (side, side), anchor=(0, 0), normalize=False, borderType=cv2.BORDER_CONSTANT)
         energies.append(np.maximum(np.asarray(box, np.float32), 0))
     parts, ratios = [], []
-    for start in range(0, len(corners), BATCH):
-        batch = corners[start : start + BATCH]
+    together = max(1, min(BATCH, BATCH_BYTES // (np.dtype(np.float64).itemsize * shifts * shifts)))
+    for start in range(0, len(corners), together):
+        batch = corners[start : start + together]
         values = np.empty((len(batch), shifts, shifts))
         for row, (x, y) in enumerate(batch.tolist()):
             template = fft.rfft2(here[:, y : y + side, x : x + side], (n, n))
@@ -75,8 +76,8 @@ def best_places(here: F32, there: F32, corners: IntArray, side: int, reach: int,
         ratios.append(runner_up(values, apart))
     if not parts:
         return Places(peaks(np.zeros((0, shifts, shifts))), np.zeros(0))
-    together = Peaks(*(np.concatenate([getattr(p, name) for p in parts]) for name in Peaks.__dataclass_fields__))
-    return Places(together, np.concatenate(ratios))
+    found_peaks = Peaks(*(np.concatenate([getattr(p, name) for p in parts]) for name in Peaks.__dataclass_fields__))
+    return Places(found_peaks, np.concatenate(ratios))
 
 
 def runner_up(surfaces: FloatArray, apart: int) -> FloatArray:

@@ -7,6 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import fourier_shift, gaussian_filter
 
+from featreg.sar import template_correlation
 from featreg.sar.correlation import peaks
 from featreg.sar.template_correlation import best_places, runner_up
 
@@ -54,6 +55,18 @@ def test_a_known_displacement_is_found_to_a_fraction_of_a_pixel(shift: tuple[flo
     assert found.peaks.sound.all()
     assert np.abs(found.peaks.shift - shift).max() < 0.05
     assert found.runner_up.max() < 0.7
+
+
+def test_large_surfaces_are_kept_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    here, there = channels(), widened(channels((1.0, -2.0)))
+    whole = best_places(here, there, CORNERS, SIDE, REACH, 2)
+    seen: list[int] = []
+    monkeypatch.setattr(template_correlation, "BATCH_BYTES", 1)
+    monkeypatch.setattr(template_correlation, "peaks", lambda values: (seen.append(len(values)), peaks(values))[1])
+    single = best_places(here, there, CORNERS, SIDE, REACH, 2)
+    assert seen == [1] * len(CORNERS)
+    np.testing.assert_array_equal(single.peaks.shift, whole.peaks.shift)
+    np.testing.assert_array_equal(single.runner_up, whole.runner_up)
 
 
 def test_the_best_place_elsewhere_over_the_peak() -> None:
