@@ -137,7 +137,7 @@ class SarHarris(Detector):
         return everything.take(np.argsort(-everything.score, kind="stable")[: self.n_features])
 
     def _plenty(self, image: Image) -> bool:
-        return np.count_nonzero(image.mask) >= PLENTY * self.n_features
+        return bool(np.count_nonzero(image.mask) >= PLENTY * self.n_features)
 
     def _layer(self, image: Image, number: int) -> _Layer:
         alpha = self.alpha * self.factor**number
