@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import fourier_shift, gaussian_filter
 
 from featreg.sar import template_correlation
-from featreg.sar.correlation import peaks
+from featreg.sar.correlation import Peaks, peaks
 from featreg.sar.template_correlation import best_places, runner_up
+from featreg.types import FloatArray
 
 F32 = NDArray[np.float32]
 SIDE, REACH = 17, 6
@@ -61,8 +62,13 @@ def test_large_surfaces_are_kept_one_by_one(monkeypatch: pytest.MonkeyPatch) -> 
     here, there = channels(), widened(channels((1.0, -2.0)))
     whole = best_places(here, there, CORNERS, SIDE, REACH, 2)
     seen: list[int] = []
+
+    def counted(values: FloatArray) -> Peaks:
+        seen.append(len(values))
+        return peaks(values)
+
     monkeypatch.setattr(template_correlation, "BATCH_BYTES", 1)
-    monkeypatch.setattr(template_correlation, "peaks", lambda values: (seen.append(len(values)), peaks(values))[1])
+    monkeypatch.setattr(template_correlation, "peaks", counted)
     single = best_places(here, there, CORNERS, SIDE, REACH, 2)
     assert seen == [1] * len(CORNERS)
     np.testing.assert_array_equal(single.peaks.shift, whole.peaks.shift)
