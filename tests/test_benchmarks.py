@@ -130,7 +130,8 @@ def test_the_page_holds_its_pictures_and_needs_nothing_from_elsewhere(tmp_path: 
 def test_orders_in_captions_are_those_of_the_run() -> None:
     from figures.page import ranked
 
-    assert ranked({"a": 2.0, "b": 10.5, "c": 3.14159}, " px") == "b 10.5 px, c 3.14 px, a 2 px"
+    assert ranked({"a": 2.0, "b": 1610.2, "c": 3.14159}, " px") == "b 1610 px, c 3 px, a 2 px"
+    assert ranked({"a": 11.785, "b": 11.816}, digits=2) == "b 11.82, a 11.79"
 
 
 @pytest.mark.parametrize(("what", "same"), [("two 1-degree apertures of Gotcha", True), ("a simulated lot", False)])

@@ -8,7 +8,6 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from featreg.sar.correlation_filter_kernels import HALF, TERMS
 from featreg.types import FloatArray, IntArray
 
 F32 = NDArray[np.float32]
@@ -36,7 +35,8 @@ class CorrelationFilter:
     @property
     def taps(self) -> tuple[F32, F32]:
         """(T, 1 + K // 2) taps along x and y from the middle on."""
-        return self.across[:, HALF:].copy(), self.down[:, HALF:].copy()
+        middle = self.across.shape[1] // 2
+        return self.across[:, middle:].copy(), self.down[:, middle:].copy()
 
     def applied(self, view: F32) -> F32:
         """Return a filtered (H, W) map; beyond its rim it is mirrored."""
@@ -149,6 +149,8 @@ def _radial(values: FloatArray, turns: FloatArray) -> FloatArray:
 
 def _separable(response: FloatArray) -> tuple[F32, F32]:
     """(T, K) taps along x and along y whose products add up to the filter of a real frequency response, cut to size."""
+    from featreg.sar.correlation_filter_kernels import HALF, TERMS
+
     kernel = np.fft.fftshift(np.fft.irfft2(response, (SIDE, SIDE)))
     middle = slice(SIDE // 2 - HALF, SIDE // 2 + HALF + 1)
     taper = np.sqrt(np.hanning(2 * HALF + 3)[1:-1])

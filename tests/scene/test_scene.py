@@ -204,7 +204,9 @@ def test_the_size_of_the_blocks_hardly_changes_the_model(located_pair: Any, resu
     got = featreg.match(located_pair.reference, located_pair.secondary, block=350, workers=1)
     assert got.model
     assert result.model
-    assert np.abs(got.model(grid()) - result.model(grid())).max() < 0.1
+    # The corner without data is left to the models alone.
+    shown = grid()[(grid() >= 280).any(axis=1)]
+    assert np.abs(got.model(shown) - result.model(shown)).max() < 0.1
 
 
 # ---------------------------------------------------------------- progress, cancel
