@@ -16,6 +16,14 @@ from featreg.runtime import buffers
 from featreg.runtime.buffers import keeping, scratch, scratch_bytes
 
 
+def run(code: str) -> list[int]:
+    """The numbers that a process of its own prints."""
+    # A cluster of dask in the same process leaves a variable by which glibc would not adapt.
+    plain = {name: value for name, value in os.environ.items() if not name.startswith(("MALLOC_", "GLIBC_TUNABLES"))}
+    done = subprocess.run([sys.executable, "-c", code], env=plain, capture_output=True, text=True, check=True)
+    return [int(count) for count in done.stdout.split()]
+
+
 def test_an_array_is_kept_while_the_work_runs_and_grows_with_what_is_asked_for() -> None:
     with keeping():
         first = scratch("a", (4, 5))
@@ -60,10 +68,7 @@ def test_large_arrays_are_not_mapped_anew_each_time() -> None:
         "    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before\n"
         "faults(); print(faults()); expect_large_arrays(); faults(); print(faults())\n"
     )
-    # A cluster of dask in the same process leaves a variable by which glibc would not adapt.
-    plain = {name: value for name, value in os.environ.items() if not name.startswith(("MALLOC_", "GLIBC_TUNABLES"))}
-    done = subprocess.run([sys.executable, "-c", code], env=plain, capture_output=True, text=True, check=True)
-    before, after = (int(count) for count in done.stdout.split())
+    before, after = run(code)
     assert after < 0.2 * before
 
 
@@ -88,8 +93,7 @@ def test_inside_reusing_arrays_of_any_size_are_handed_out_again_and_little_stays
         "    buffers.MOST_STAYS = 1 << 20\n"
         "print(fresh, inside, still, faults(), held)\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    fresh, inside, still, afterwards, held = (int(count) for count in done.stdout.split())
+    fresh, inside, still, afterwards, held = run(code)
     assert max(inside, still) < 0.2 * fresh
     assert afterwards > 0.5 * fresh
     assert held >= 80 << 20
