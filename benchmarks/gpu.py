@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from measuring import machine, on_one_thread, table
+from measuring import machine, on_one_thread, round_count, table
 
 from featreg.interop.torch_maps import harris_module, local_correlations, roewa_module
 from featreg.interop.torch_orientation import orientation_module
@@ -52,7 +52,7 @@ def main() -> None:
     parser.add_argument("--side", type=int, default=2000)
     parser.add_argument("--batch", type=int, default=4)
     parser.add_argument("--points", type=int, default=2000)
-    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--rounds", type=round_count, default=5)
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     on_one_thread()

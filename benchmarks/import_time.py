@@ -11,7 +11,7 @@ import sys
 import time
 from typing import Any
 
-from measuring import Timing, machine, table
+from measuring import Timing, machine, round_count, table
 
 BARE = "pass"
 CASES = {
@@ -32,7 +32,7 @@ def seconds(code: str) -> float:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rounds", type=int, default=9)
+    parser.add_argument("--rounds", type=round_count, default=9)
     given = parser.parse_args()
     codes = [BARE, *(code for code, _ in CASES.values())]
     samples: dict[str, list[float]] = {code: [] for code in codes}

@@ -16,7 +16,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from measuring import machine, on_one_thread, table
+from measuring import machine, on_one_thread, round_count, table
 from numpy.typing import NDArray
 
 import featreg
@@ -87,7 +87,7 @@ def main() -> None:
     parser.add_argument("--methods", default="sar-orb,sar-sift")
     parser.add_argument("--features", type=int, default=2000)
     parser.add_argument("--threads", type=int, default=2, help="of the column of wall times; 1 leaves it out")
-    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--rounds", type=round_count, default=3)
     parser.add_argument("--seed", type=int, default=0, help="of the images and of the methods")
     given = parser.parse_args()
     on_one_thread(pinned=given.threads == 1)

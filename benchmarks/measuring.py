@@ -5,6 +5,7 @@ The contract that they follow stands in benchmarks/README.md.
 
 from __future__ import annotations
 
+import argparse
 import os
 import platform
 import subprocess
@@ -27,6 +28,13 @@ DATA = Path(os.environ.get("FEATREG_DATA", Path(__file__).parents[2] / "shared" 
 
 # Shortest time of one sample; quicker functions are repeated inside it.
 SAMPLE_S = 0.005
+
+
+def round_count(text: str) -> int:
+    """A number of rounds, as argparse takes it: at least 1."""
+    if int(text) < 1:
+        raise argparse.ArgumentTypeError(f"at least 1 round is needed, got {text}")
+    return int(text)
 
 
 def on_one_thread(*, pinned: bool = True) -> None:

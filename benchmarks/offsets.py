@@ -19,7 +19,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from measuring import machine, measure, on_one_thread, table
+from measuring import machine, measure, on_one_thread, round_count, table
 from numpy.typing import NDArray
 from scene import run_measured
 
@@ -143,7 +143,7 @@ def main() -> None:
     parser.add_argument("--step", type=int, default=16)
     parser.add_argument("--window", type=int, default=64)
     parser.add_argument("--search", type=int, default=16)
-    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--rounds", type=round_count, default=5)
     parser.add_argument("--seeds", default="0,1,2")
     parser.add_argument("--scene", type=Path)
     parser.add_argument("--sizes", default="2500x2750,10000x11000")

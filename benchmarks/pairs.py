@@ -16,7 +16,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from measuring import Pair, Timing, machine, on_one_thread, real_pairs, simulated_pairs, table
+from measuring import Pair, Timing, machine, on_one_thread, real_pairs, round_count, simulated_pairs, table
 from numpy.typing import NDArray
 
 import featreg
@@ -121,7 +121,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--features", type=int, default=5000)
     parser.add_argument("--simulated", type=int, default=3, help="how many simulated pairs")
-    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--rounds", type=round_count, default=3)
     parser.add_argument("--seed", type=int, default=0, help="of the warps and of the methods")
     parser.add_argument("--methods", default=METHODS)
     parser.add_argument("--all", action="store_true", help="the many small real pairs too")

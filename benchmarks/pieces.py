@@ -14,7 +14,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from measuring import Timing, machine, measure, on_one_thread, random_affine, table
+from measuring import Timing, machine, measure, on_one_thread, random_affine, round_count, table
 from numpy.typing import NDArray
 
 import featreg
@@ -212,7 +212,7 @@ def correlation(rng: np.random.Generator, rounds: int) -> Iterator[Row]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rounds", type=int, default=9)
+    parser.add_argument("--rounds", type=round_count, default=9)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--large", type=int, default=4000, help="side of the large image")
     given = parser.parse_args()

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from measuring import Timing, machine, table
+from measuring import Timing, machine, round_count, table
 
 from featreg.simulate import sar_pair
 
@@ -41,7 +41,7 @@ def seconds(arguments: list[str], **variables: str) -> float:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--rounds", type=round_count, default=5)
     parser.add_argument("--numba", action="store_true", help="also the first command by numba alone, once")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:

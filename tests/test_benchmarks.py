@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import re
 import sys
 from collections.abc import Iterator
@@ -98,6 +99,14 @@ def test_a_misspelt_method_ends_the_run_before_it_begins() -> None:
     assert methods_of("sar-orb,orb") == (["sar-orb", "orb"], [])
     with pytest.raises(SystemExit, match="--methods: unknown method 'sar-orbs'"):
         methods_of("orb,sar-orbs")
+
+
+def test_no_round_is_refused() -> None:
+    from measuring import round_count
+
+    assert round_count("3") == 3
+    with pytest.raises(argparse.ArgumentTypeError, match="at least 1 round is needed, got 0"):
+        round_count("0")
 
 
 def test_pairs_of_a_set_are_spread_and_their_warps_are_their_own() -> None:
