@@ -101,6 +101,10 @@ def _interruptible(command: Callable[..., None]) -> Callable[..., None]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code; `arguments` defaults to those of the process."""
     given = list(sys.argv[1:] if arguments is None else arguments)
+    if "numpy" not in sys.modules:
+        # Its small products gain nothing from more threads, which wait for one another at the cost of half a second;
+        # what --threads and --workers ask for is shared out by this package itself.
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     out, err = (_Output(stream) for stream in (sys.stdout, sys.stderr))
     with redirect_stdout(out), redirect_stderr(err):
         code = _run(given)

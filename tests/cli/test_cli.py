@@ -348,3 +348,15 @@ def test_help_imports_nothing_heavy() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(("asked", "used"), [(None, "1"), ("3", "3")])
+def test_linear_algebra_has_one_thread_unless_the_environment_says_otherwise(asked: str | None, used: str) -> None:
+    code = (
+        "import os, sys\nfrom featreg.cli.main import main\nassert 'numpy' not in sys.modules\n"
+        "main(['--version'])\nprint(os.environ['OPENBLAS_NUM_THREADS'])"
+    )
+    plain = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    given = plain if asked is None else {**plain, "OPENBLAS_NUM_THREADS": asked}
+    done = subprocess.run([sys.executable, "-c", code], env=given, capture_output=True, text=True, check=True)
+    assert done.stdout.split()[-1] == used
