@@ -24,7 +24,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from measuring import DATA, Pair, machine, measure, on_one_thread, read, real_scenes, round_count, table, warped
+from measuring import DATA, Pair, machine, measure, on_one_thread, read, real_scenes, table, warped
 from numpy.typing import NDArray
 from optical_sar import LIMIT, known_pairs
 from pairs import by_opencv
@@ -214,7 +214,7 @@ def to_bytes(image: Image) -> NDArray[np.uint8]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rounds", type=round_count, default=7)
+    parser.add_argument("--rounds", type=int, default=7, help="of times; 0 for none")
     parser.add_argument("--pairs", type=int, default=24)
     parser.add_argument("--optical", type=int, default=12, help="optical-SAR pairs")
     parser.add_argument("--unrelated", type=int, default=24)
