@@ -18,7 +18,7 @@ import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
-from importlib.metadata import entry_points
+from importlib.metadata import distributions, entry_points
 from typing import Any, Literal, TypeVar, overload
 
 from featreg.errors import (
@@ -44,6 +44,8 @@ KINDS: Mapping[str, type[Any]] = {
 }
 ROOMS = ("featreg.detectors", "featreg.descriptors", "featreg.matchers")
 CORE = ("featreg.geometry", "featreg.geolocation")
+#: Under which other packages name theirs.
+GROUP = "featreg.plugins"
 
 logger = logging.getLogger(__name__)
 T = TypeVar("T")
@@ -355,7 +357,9 @@ def _alone(kind: str, name: str) -> Entry | None:
 
 @cache
 def _foreign() -> bool:
-    return bool(entry_points(group="featreg.plugins"))
+    """Whether another package has plugins; most packages' entry points need not be parsed for that."""
+    texts = (distribution.read_text("entry_points.txt") for distribution in distributions())
+    return any(GROUP in text for text in texts if text) and bool(entry_points(group=GROUP))
 
 
 def _load() -> None:
@@ -371,7 +375,7 @@ def _load() -> None:
             for found in pkgutil.iter_modules(importlib.import_module(room).__path__):
                 module = f"{room}.{found.name}"
                 _import(module, partial(importlib.import_module, module), ours=True)
-        for point in entry_points(group="featreg.plugins"):
+        for point in entry_points(group=GROUP):
             _import(point.value, point.load)
         _loaded = True
 

@@ -6,6 +6,7 @@ still written); 4 a comparison with failed rows; 130 interrupted. Whatever goes 
 
 from __future__ import annotations
 
+import gc
 import importlib
 import logging
 import os
@@ -42,6 +43,8 @@ COMMANDS: dict[str, tuple[str, str, str]] = {
     "demo": ("demo", "demo", "Try everything on a simulated pair."),
     "doctor": ("doctor", "doctor", "Show what this installation is made of."),
 }
+#: New objects after which a command looks for circles of garbage among them: more than it imports. None holds an image.
+MOST_YOUNG = 100_000
 HELP = "Register SAR images: tie points, a geometric model and a verdict on whether to trust it."
 
 
@@ -101,18 +104,27 @@ def _interruptible(command: Callable[..., None]) -> Callable[..., None]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code; `arguments` defaults to those of the process."""
     given = list(sys.argv[1:] if arguments is None else arguments)
+    own = arguments is None
     if "numpy" not in sys.modules:
         # Its small products gain nothing from more threads, which wait for one another at the cost of half a second;
         # what --threads and --workers ask for is shared out by this package itself.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    if own:
+        # The library behind the options would read the metadata of every installed package to look for plugins.
+        os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
+        # What is imported stays: looking through it for circles of garbage takes longer than reading an image.
+        gc.set_threshold(MOST_YOUNG, *gc.get_threshold()[1:])
     out, err = (_Output(stream) for stream in (sys.stdout, sys.stderr))
     with redirect_stdout(out), redirect_stderr(err):
         code = _run(given)
         out.flush()
         if out.failed is not None and code in (0, 3):
             typer.echo(f"error: the standard output cannot be written ({out.failed.strerror})", err=True)
-            return 2
-        return code
+            code = 2
+    if own:
+        # The process ends: nothing is left to look through.
+        gc.freeze()
+    return code
 
 
 def _run(given: Sequence[str]) -> int:

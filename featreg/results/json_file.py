@@ -118,7 +118,7 @@ def registration_text(registration: Registration, provenance: Mapping[str, Any] 
     columns, masks, head = _columns(registration, stage), _masks(registration, stage), _head(registration)
     head["provenance"] |= provenance or {}
     # The rows are encoded in one go, one tie point a line: a general pretty printer would take seconds.
-    rows = json.dumps(_rows(columns), separators=(",", ":"), allow_nan=False).replace("],[", "],\n      [")
+    rows = json.dumps(_tuples(columns), separators=(",", ":"), allow_nan=False).replace("],[", "],\n      [")
     slot = uuid.uuid4().hex
     text = _layout({**head, "tie_points": _table(columns, masks, slot)})
     return text.replace(f'"{slot}"', rows.replace("[[", "[\n      [", 1)) + "\n"
@@ -263,11 +263,21 @@ def _columns(registration: Registration, stage: IntArray) -> dict[str, NDArray[A
 
 
 def _rows(columns: Mapping[str, NDArray[Any]]) -> list[list[Any]]:
-    def values(array: NDArray[Any]) -> list[Any]:
-        listed: list[Any] = array.tolist()
-        return listed if np.isfinite(array).all() else [v if math.isfinite(v) else None for v in listed]
+    return [list(row) for row in _tuples(columns)]
 
-    return [list(row) for row in zip(*(values(c) for c in columns.values()), strict=True)]
+
+def _tuples(columns: Mapping[str, NDArray[Any]]) -> list[tuple[Any, ...]]:
+    """The rows of a table; None stands for numbers that are not finite."""
+
+    def values(array: NDArray[Any]) -> list[Any]:
+        finite = np.isfinite(array)
+        if finite.all():
+            return list(array.tolist())
+        some = array.astype(object)
+        some[~finite] = None
+        return list(some.tolist())
+
+    return list(zip(*(values(c) for c in columns.values()), strict=True))
 
 
 def _table(columns: Mapping[str, Any], masks: Mapping[str, str], rows: Any) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import gc
 import io
 import json
 import os
@@ -360,3 +361,9 @@ def test_linear_algebra_has_one_thread_unless_the_environment_says_otherwise(ask
     given = plain if asked is None else {**plain, "OPENBLAS_NUM_THREADS": asked}
     done = subprocess.run([sys.executable, "-c", code], env=given, capture_output=True, text=True, check=True)
     assert done.stdout.split()[-1] == used
+
+
+def test_a_program_that_calls_the_command_line_keeps_its_garbage_collection() -> None:
+    before = gc.get_threshold(), gc.get_freeze_count()
+    assert cli.main(["--version"]) == 0
+    assert (gc.get_threshold(), gc.get_freeze_count()) == before
