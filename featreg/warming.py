@@ -132,13 +132,17 @@ def _warm_geometry() -> None:
 
     from featreg.focusing.backprojection import GroundGrid, back_project
     from featreg.focusing.phase_history import PhaseHistory
+    from featreg.geolocation.heights import Patch
     from featreg.geolocation.orbit import Orbit
     from featreg.simulate.orbit import RangeDoppler
 
     shape, heights = (64, 64), np.zeros(2)
     exact = RangeDoppler.over((12.0, 47.0), shape, incidence_deg=35.0, heading_deg=-12.0, pixel=3.0)
     orbiting = exact.sensor(shape, 0.0)
-    for sensor in (exact.rpc(shape, -100.0, 100.0, 1.0), orbiting):
+    rational = exact.rpc(shape, -100.0, 100.0, 1.0)
+    cells = np.array([10.0, 0.0, -110.0, 0.0, -10.0, 480.0, 20.0, 20.0, 12.0, 360.0])
+    rational.on_patch(np.array([[10.0, 20.0]]), Patch(cells, np.zeros((20, 20)), 0, 0), 0.0, 1e-3)
+    for sensor in (rational, orbiting):
         ground = sensor.image_to_ground(np.array([[10.0, 20.0], [30.0, 40.0]]), heights)
         sensor.ground_to_image(ground, heights)
     Orbit(orbiting.times, orbiting.positions, orbiting.velocities).at(orbiting.times[:2])

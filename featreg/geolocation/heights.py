@@ -7,10 +7,11 @@ import math
 import threading
 from abc import ABC, abstractmethod
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -22,6 +23,8 @@ from featreg.types import BoolArray, FloatArray
 #: Cells along each side of a tile of the elevation model, and tiles kept: at most 64 MB.
 TILE = 512
 KEPT = 60
+#: Most tiles that are put together as one, 32 MB.
+KEPT_PATCH = 16
 #: Holes are filled from valid cells at most this far away, in cells; larger ones hold the sea level.
 REACH = 100
 #: No ground lies outside these metres (the shore of the Dead Sea, Mount Everest): what does is a hole that nobody
@@ -70,6 +73,24 @@ class ConstantHeight(Heights):
 
 
 @dataclass(frozen=True, eq=False)
+class Patch:
+    """A part of an elevation model in longitude and latitude, for compiled loops.
+
+    Parameters
+    ----------
+    cells : (10,) float64, the map from longitude and latitude to columns and rows counted from the corner of the first
+        cell, the width and height of the model, its middle longitude and a turn of longitude
+    heights : (R, C) float64 metres above the ellipsoid
+    left, top : column and row of the model at which they begin
+    """
+
+    cells: FloatArray
+    heights: FloatArray
+    left: int
+    top: int
+
+
+@dataclass(frozen=True, eq=False)
 class _Grid:
     """Where the cells of an elevation model lie: `forward` maps cell corners to the coordinate system."""
 
@@ -97,6 +118,9 @@ class _State:
         self.grid: _Grid | None = None
         self.digest = ""
         self.tiles: OrderedDict[tuple[int, int], FloatArray] = OrderedDict()
+        #: The last patch of several tiles, by the first and last of them.
+        self.patch: tuple[tuple[int, int, int, int], FloatArray] | None = None
+        self.starts: WeakKeyDictionary[Any, float] = WeakKeyDictionary()
         self.said: set[str] = set()
 
 
@@ -169,6 +193,53 @@ class DemHeights(Heights):
     def covers(self, lonlat: FloatArray) -> BoolArray:
         """Return (N,) bool, True where the model has a cell."""
         return self._inside(self._cells(lonlat))
+
+    @property
+    def in_degrees(self) -> bool:
+        """Whether the model counts in longitude and latitude on WGS84, so that it has patches."""
+        projection = self._grid.projection
+        return projection.is_plain and projection.turn > 0
+
+    def patch(self, lonlat: FloatArray) -> Patch | None:
+        """The tiles of (N, 2) longitudes and latitudes, and all between them, as one.
+
+        None where they are more than `KEPT_PATCH`, or no point is finite.
+        """
+        grid, good = self._grid, lonlat[np.isfinite(lonlat).all(axis=1)]
+        if not len(good):
+            return None
+        cells = self._cells(good)
+        size = np.array(grid.shape[::-1])
+        low, high = (np.clip(np.floor(end), 0, np.maximum(size - 2, 0)) for end in (cells.min(0), cells.max(0)))
+        (left, top), (right, bottom) = (low // TILE).astype(int).tolist(), (high // TILE).astype(int).tolist()
+        if (right - left + 1) * (bottom - top + 1) > KEPT_PATCH:
+            return None
+        to_cells = [*tuple(~grid.forward)[:6], *size.tolist(), grid.middle, grid.projection.turn]
+        heights = self._joined(left, top, right, bottom)
+        return Patch(np.array(to_cells, np.float64), heights, left * TILE, top * TILE)
+
+    def _joined(self, left: int, top: int, right: int, bottom: int) -> FloatArray:
+        """The heights of some tiles, the ends included, as one array."""
+        if (left, top) == (right, bottom):
+            return self._tile(left, top)
+        state, ends = self._state, (left, top, right, bottom)
+        with state.lock:
+            if state.patch is None or state.patch[0] != ends:
+                rows = ([self._tile(i, j)[:TILE, :TILE] for i in range(left, right)] for j in range(top, bottom + 1))
+                last = (self._tile(right, j) for j in range(top, bottom + 1))
+                bands = [np.hstack([*row, end[:TILE]]) for row, end in zip(rows, last, strict=True)]
+                below = [self._tile(i, bottom)[TILE:, :TILE] for i in range(left, right)]
+                bands.append(np.hstack([*below, self._tile(right, bottom)[TILE:]]))
+                state.patch = ends, np.vstack(bands)
+            return state.patch[1]
+
+    def start(self, sensor: Any, find: Callable[[], float]) -> float:
+        """The height at which searches along a sensor's lines of sight begin: what `find` gives, asked once."""
+        state = self._state
+        with state.lock:
+            if sensor not in state.starts:
+                state.starts[sensor] = find()
+            return state.starts[sensor]
 
     def to_dict(self) -> dict[str, Any]:
         return {"type": "dem", "path": self.path, "offset": self.offset, "digest": self.digest or self._digest()}

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from featreg.errors import InputError
+from featreg.geolocation.heights import Patch
 from featreg.geolocation.sensor import SIGMAS, Sensor, column_of, wrapped
-from featreg.types import FloatArray, read_only
+from featreg.types import BoolArray, FloatArray, read_only
 
 COEFFICIENTS = ("samp_num_coeff", "samp_den_coeff", "line_num_coeff", "line_den_coeff")
 NUMBERS = tuple(f"{what}_{part}" for what in ("samp", "line", "long", "lat", "height") for part in ("off", "scale"))
@@ -87,6 +88,36 @@ class RpcSensor(Sensor):
         tolerance = FOUND_PX / max(r["samp_scale"], r["line_scale"])
         locate(self._coefficients, sample, line, self._high(heights, len(p)), x, y, tolerance, STEPS)
         return np.column_stack([wrapped(x * r["long_scale"] + r["long_off"]), y * r["lat_scale"] + r["lat_off"]])
+
+    def on_patch(
+        self, xy: FloatArray, patch: Patch, start: float, close: float
+    ) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Return where the lines of sight of (N, 2) image points meet a part of an elevation model.
+
+        Parameters
+        ----------
+        xy : image points
+        patch : the part
+        start : metres at which the search begins
+        close : heights count as found to so many metres
+
+        Returns
+        -------
+        lonlat, heights : (N, 2) degrees and (N,) metres, NaN where not found
+        found : (N,) bool; elsewhere the ground is too steep for secants, or lies beyond the part
+        """
+        from featreg.geolocation.ground_kernels import ground_of
+
+        p, r = np.ascontiguousarray(xy, np.float64), self.rpcs
+        lonlat, level, found = np.full((len(p), 2), np.nan), np.full(len(p), np.nan), np.zeros(len(p), np.uint8)
+        norm = [r[f"{name}_{part}"] for name in ("samp", "line", "long", "lat", "height") for part in ("scale", "off")]
+        tolerance = FOUND_PX / max(r["samp_scale"], r["line_scale"])
+        ground_of(
+            self._coefficients, np.array(norm, np.float64), patch.cells, patch.heights, patch.left, patch.top,
+            start, close, tolerance, STEPS, p, lonlat, level, found,
+        )  # fmt: skip
+        good = found.view(np.bool_)
+        return lonlat, level, good
 
     @property
     def uncertainty_px(self) -> float:

@@ -9,7 +9,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from featreg.geolocation.heights import ConstantHeight, Heights
+from featreg.geolocation.heights import ConstantHeight, DemHeights, Heights
+from featreg.geolocation.rpc import RpcSensor
 from featreg.geolocation.sensor import Sensor
 from featreg.geometry.base import DerivedModel
 from featreg.types import FloatArray
@@ -20,6 +21,8 @@ CLOSE_M = 1e-5
 PLAIN, BRACKETED = 6, 80
 #: No ground lies outside these heights in metres.
 LOWEST, HIGHEST = -1000.0, 9500.0
+#: So many metres above and below the start of a search its ground is looked for in one part of the elevation model.
+RELIEF = 1000.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +41,9 @@ class Transfer(DerivedModel):
     coefficients are rarely delivered) and the DEM in turn, until the height stands still to 1e-5 m. Departure: where
     that has not settled after six rounds (slopes as steep as the line of sight), h - DEM(lonlat(h)) is bracketed and
     its crossing found by regula falsi (Illinois), which always ends; where the ground lies over (more than one
-    crossing) it is one of them. A point whose ground is not found is NaN.
+    crossing) it is one of them. With rational polynomials and a DEM in longitude and latitude a compiled loop takes
+    secants after the first round where these close in quickly, and leaves the other points to the rounds. A point whose
+    ground is not found is NaN.
 
     References
     ----------
@@ -75,7 +80,40 @@ def on_ground(sensor: Sensor, xy: FloatArray, heights: Heights) -> tuple[FloatAr
     if isinstance(heights, ConstantHeight):
         level = np.full(len(xy), heights.metres)
         return sensor.image_to_ground(xy, level), level
-    level = heights.at(sensor.image_to_ground(xy, _start(sensor, heights)))
+    start = _start(sensor, heights)
+    if type(sensor) is RpcSensor and isinstance(heights, DemHeights) and heights.in_degrees:
+        return _by_secants(sensor, xy, heights, start)
+    return by_rounds(sensor, xy, heights, start)
+
+
+def _by_secants(sensor: RpcSensor, xy: FloatArray, heights: DemHeights, start: float) -> tuple[FloatArray, FloatArray]:
+    """`on_ground` by compiled loops over a part of the elevation model, for the points where secants close in."""
+    known = np.flatnonzero(np.isfinite(xy).all(axis=1))
+    lonlat, level = np.full((len(xy), 2), np.nan), np.full(len(xy), np.nan)
+    if not len(known):
+        return lonlat, level
+    # The part is that on which all lies between the corners of what is asked, at any height around.
+    ends = np.array([xy[known].min(axis=0), xy[known].max(axis=0)])
+    corners = np.array([[x, y] for x in ends[:, 0] for y in ends[:, 1]] * 2)
+    patch = heights.patch(sensor.image_to_ground(corners, np.repeat([start - RELIEF, start + RELIEF], 4)))
+    if patch is None:
+        # Each half needs a smaller part.
+        along = int(np.argmax(ends[1] - ends[0]))
+        first = xy[known, along] < ends[:, along].mean()
+        halves = (known[first], known[~first]) if first.any() else ()
+        for half in halves:
+            lonlat[half], level[half] = _by_secants(sensor, xy[half], heights, start)
+        return (lonlat, level) if halves else by_rounds(sensor, xy, heights, start)
+    lonlat, level, found = sensor.on_patch(xy, patch, start, CLOSE_M)
+    left = known[~found[known]]
+    if len(left):
+        lonlat[left], level[left] = by_rounds(sensor, xy[left], heights, start)
+    return lonlat, level
+
+
+def by_rounds(sensor: Sensor, xy: FloatArray, heights: Heights, start: float) -> tuple[FloatArray, FloatArray]:
+    """`on_ground` for any sensor and heights, from a height at which every search starts."""
+    level = heights.at(sensor.image_to_ground(xy, start))
     low, high = np.full(len(xy), LOWEST), np.full(len(xy), HIGHEST)
     over, under = np.full(len(xy), np.nan), np.full(len(xy), np.nan)
     open_ = np.flatnonzero(np.isfinite(level))
@@ -94,10 +132,14 @@ def on_ground(sensor: Sensor, xy: FloatArray, heights: Heights) -> tuple[FloatAr
 
 def _start(sensor: Sensor, heights: Heights) -> float:
     """The height of the ground at the sensor's centre, about, so that no search begins far off the image."""
-    level = np.zeros(1)
-    for _ in range(3):
-        level = np.nan_to_num(heights.at(sensor.image_to_ground(np.array([sensor.centre]), level)))
-    return float(level[0])
+
+    def find() -> float:
+        level = np.zeros(1)
+        for _ in range(3):
+            level = np.nan_to_num(heights.at(sensor.image_to_ground(np.array([sensor.centre]), level)))
+        return float(level[0])
+
+    return heights.start(sensor, find) if isinstance(heights, DemHeights) else find()
 
 
 def _narrow(

@@ -161,6 +161,24 @@ def _fit_correction(
     return fitted if isinstance(fitted, FailedFit) else model_class.with_correction(fitted), inliers
 
 
+def _reweighted_correction(
+    model_class: type[CorrectedModel],
+    reference: FloatArray,
+    secondary: FloatArray,
+    prior: FloatArray,
+    scale_px: float,
+    iterations: int,
+) -> tuple[Any, FloatArray] | None:
+    """`irls` of what a known map, asked once, leaves to be corrected; None where it cannot map all points."""
+    mapped = model_class.known(reference)
+    if not np.isfinite(mapped).all():
+        return None
+    fitted, weights = irls(
+        model_class.correction_kind, mapped, secondary, weights=prior, scale_px=scale_px, iterations=iterations
+    )
+    return fitted if isinstance(fitted, FailedFit) else model_class.with_correction(fitted), weights
+
+
 def _search(
     kind: int,
     reference: FloatArray,
@@ -278,6 +296,10 @@ def irls(
     """
     reference, secondary = points(reference_xy, "reference_xy"), points(secondary_xy, "secondary_xy")
     prior = np.ones(len(reference)) if weights is None else np.asarray(weights, np.float64)
+    if isinstance(model_class, type) and issubclass(model_class, CorrectedModel):
+        corrected = _reweighted_correction(model_class, reference, secondary, prior, scale_px, iterations)
+        if corrected is not None:
+            return corrected
     kind = _kind(model_class)
     if kind is not None and prior.ndim == 1 and len(reference) == len(secondary) == len(prior) > 0:
         from featreg.geometry.reweighting_kernels import reweighted

@@ -16,7 +16,7 @@ import featreg
 from featreg.errors import InputError, ParameterError
 from featreg.geolocation import ConstantHeight, DemHeights, GeotransformSensor, RpcBias, RpcSensor, Transfer
 from featreg.geometry import Affine, Translation, model_from_dict, model_to_dict, prediction_covariance
-from featreg.geometry.robust import fit_consensus, irls
+from featreg.geometry.robust import fit_consensus, irls, plain_irls
 from featreg.interfaces import FailedFit
 from featreg.io.rpc_file import write_rpc
 from featreg.registry import model_class, model_name
@@ -104,6 +104,17 @@ class TestFit:
         assert inliers[~bad].mean() > 0.98
         assert inliers[bad].mean() < 0.02
         assert np.abs(model(GRID) - Affine(BIAS)(model.transfer(GRID))).max() < 0.2
+
+    def test_reweighting_the_correction_is_reweighting_the_model(
+        self, bound: type[RpcBias], ties: tuple[FloatArray, FloatArray]
+    ) -> None:
+        there, _ = outliers(ties[1], 0.2)
+        model, weights = irls(bound, ties[0], there, scale_px=0.1)
+        plain, by_model = plain_irls(bound, ties[0], there, np.ones(len(there)), 0.1, 30)
+        assert isinstance(model, RpcBias)
+        assert isinstance(plain, RpcBias)
+        assert np.abs(model(GRID) - plain(GRID)).max() < 1e-6
+        assert np.abs(weights - by_model).max() < 1e-6
 
     def test_points_without_ground_count_for_nothing(
         self, sensors: tuple[RpcSensor, RpcSensor], ties: tuple[FloatArray, FloatArray]

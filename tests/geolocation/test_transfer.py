@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rasterio.transform import from_origin
 
 from featreg.errors import InputError
-from featreg.geolocation import Heights, RpcSensor, Transfer
+from featreg.geolocation import DemHeights, Heights, RpcSensor, Transfer
 from featreg.geolocation.sensor import METRES_PER_DEGREE
-from featreg.geolocation.transfer import on_ground
+from featreg.geolocation.transfer import CLOSE_M, by_rounds, on_ground
 from featreg.simulate.orbit import RangeDoppler, Terrain
 from featreg.types import FloatArray
 
@@ -70,3 +71,41 @@ class TestTransfer:
     def test_it_is_not_fitted(self) -> None:
         with pytest.raises(InputError, match="RpcBias"):
             Transfer.from_estimate(np.zeros((3, 2)), np.zeros((3, 2)))
+
+
+@pytest.fixture(scope="module")
+def dem(tmp_path_factory: pytest.TempPathFactory, write_dem: Callable[..., str]) -> DemHeights:
+    """Gentle hills, with a cliff steeper than the line of sight, over several tiles."""
+    y, x = np.mgrid[0:600, 0:1100] / 40.0
+    hills = 400 + 60 * np.sin(x) * np.cos(0.7 * y) + 150 * (x > 20)
+    corner = from_origin(PLACE[0] - 0.055, PLACE[1] + 0.03, 1e-4, 1e-4)
+    return DemHeights(write_dem(tmp_path_factory.mktemp("dem") / "dem.tif", hills, corner))
+
+
+class TestSecants:
+    def test_they_find_what_rounds_find(self, rpc: RpcSensor, dem: DemHeights) -> None:
+        xy = np.random.default_rng(3).uniform(0, 2000, (3000, 2))
+        xy[7, 0] = np.nan
+        lonlat, level = on_ground(rpc, xy, dem)
+        other, plain = by_rounds(rpc, xy, dem, 400.0)
+        single = np.isfinite(plain) & (np.abs(plain - level) < 1)
+        assert np.isnan(level[7])
+        assert single.sum() > 2900
+        assert np.abs(level[single] - plain[single]).max() < 3 * CLOSE_M
+        assert np.abs(lonlat[single] - other[single]).max() < 1e-9
+        # On the cliff lines of sight meet the ground more than once: any of the crossings will do.
+        known = np.isfinite(level)
+        assert known.sum() == 2999
+        assert np.abs(dem.at(lonlat[known]) - level[known]).max() < 1e-3
+        assert np.abs(rpc.ground_to_image(lonlat[known], level[known]) - xy[known]).max() < 1e-6
+
+    def test_a_point_does_not_depend_on_the_others(
+        self, rpc: RpcSensor, dem: DemHeights, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        xy = np.random.default_rng(4).uniform(0, 2000, (400, 2))
+        together = on_ground(rpc, xy, dem)[1]
+        assert np.array_equal(
+            np.concatenate([on_ground(rpc, xy[k : k + 7], dem)[1] for k in range(0, 400, 7)]), together
+        )
+        monkeypatch.setattr("featreg.geolocation.heights.KEPT_PATCH", 1)
+        assert np.abs(on_ground(rpc, xy, dem)[1] - together).max() < 3 * CLOSE_M
