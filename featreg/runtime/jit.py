@@ -20,7 +20,8 @@ from pathlib import Path
 from types import FunctionType
 from typing import Any, TypeVar, cast
 
-from featreg.runtime.precompiled import MISS, Bound, key_of, prepared
+from featreg.runtime.calling import MISS
+from featreg.runtime.precompiled import Bound, key_of, prepared
 
 logger = logging.getLogger(__name__)
 F = TypeVar("F", bound=Callable[..., Any])
@@ -52,6 +53,7 @@ class Kernel:
     def __init__(self, function: Callable[..., Any], inline: str) -> None:
         self.function, self.inline = function, inline
         self._bound: tuple[Bound, ...] = ()
+        self._quick: tuple[Callable[..., Any], ...] = ()
         self._dispatcher: Any = None
         #: Kinds of arguments for which nothing is prepared.
         self._unprepared: set[tuple[str, ...] | None] = set()
@@ -60,6 +62,10 @@ class Kernel:
     def __call__(self, *values: Any) -> Any:
         if calls is not None:
             calls.setdefault((self.__module__, self.function.__name__), set()).add(key_of(values) or ())
+        for quick in self._quick:
+            result = quick(*values)
+            if result is not MISS:
+                return result
         for bound in self._bound:
             result = bound(values)
             if result is not MISS:
@@ -80,6 +86,7 @@ class Kernel:
                         self._unprepared.add(key)
                     else:
                         self._bound = (*self._bound, found)
+                        self._quick = (*self._quick, found.quick)
         return self.dispatcher(*values) if found is None else found(values)
 
     @property

@@ -21,23 +21,23 @@ import tempfile
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
 from featreg.errors import InputError
+from featreg.runtime import calling
+from featreg.runtime.calling import MISS
 from featreg.runtime.files import write_atomic
 
 logger = logging.getLogger(__name__)
 
 #: What translates kernels: where it changed, what it made before does not serve.
 TRANSLATOR = Path(__file__).with_name("precompiling.py")
-#: Offsets in bytes of the fields of an array of numpy: its data, extents and strides.
-DATA, EXTENTS, STRIDES = 16, 32, 40
-#: Of a call whose arguments are of another kind.
-MISS = object()
+#: Offsets in bytes of the fields of an array of numpy, as its code has them: data, extents and strides.
+DATA, EXTENTS, STRIDES = calling.DATA, calling.EXTENTS, calling.STRIDES
 #: Kinds of numbers: the types that pass as one, and what they become.
 NUMBERS: dict[str, tuple[tuple[type, ...], Callable[[Any], Any], Any]] = {
     "int": ((int, np.int64), int, ctypes.c_int64),
@@ -89,10 +89,15 @@ class Bound:
     key : kinds of the arguments
     result : kind of the result; "" for None
     name : of the kernel, for errors
+    entry : address of what `featreg.runtime.calling.entered` made of it
+
+    `quick` is called with the arguments one by one and returns `MISS` where it does not know the kind of one exactly,
+    as of a number that is a bool or a dtype that is another object; calling the object itself then decides.
     """
 
-    def __init__(self, address: int, key: tuple[str, ...], result: str, name: str) -> None:
+    def __init__(self, address: int, key: tuple[str, ...], result: str, name: str, entry: int) -> None:
         self.name, self.count = name, len(key)
+        self.quick, self._alive = calling.callable_of(entry, key, name)
         self.result: Any = RESULTS.get(result)
         self.as_bool = result == "bool"
         self.wanted: list[tuple[Any, int, Any]] = []
@@ -106,8 +111,12 @@ class Bound:
                 types, convert, c_type = NUMBERS[kind]
                 self.wanted.append((types, -1, convert))
                 kinds.append(c_type)
-        # Called without the GIL; ctypes holds the arrays meanwhile.
-        self.call = ctypes.CFUNCTYPE(ctypes.c_int32, *kinds)(address)
+        self._kinds, self._address = kinds, address
+
+    @cached_property
+    def call(self) -> Any:
+        """The code as ctypes calls it: without the GIL, while ctypes holds the arrays."""
+        return ctypes.CFUNCTYPE(ctypes.c_int32, *self._kinds)(self._address)
 
     def fits(self, values: tuple[Any, ...]) -> bool:
         """Whether the arguments are of its kind."""
@@ -237,8 +246,9 @@ def prepared(kernel: Source, key: tuple[str, ...] | None) -> Bound | None:
             machine = _machine()
             if machine is None or not machine.takes(found[0]["llvm"], found[0]["triple"]):
                 return None
-            address = machine.address(entry["symbol"], found[1][start : start + size])
-            return None if address is None else Bound(address, key, entry["result"], entry["kernel"])
+            symbol, result = entry["symbol"], entry["result"]
+            addresses = machine.addresses(symbol, found[1][start : start + size], key, result)
+            return None if addresses is None else Bound(addresses[0], key, result, entry["kernel"], addresses[1])
     return None
 
 
@@ -268,27 +278,30 @@ class Machine:
         """Whether code of this version of LLVM for this system can be used here."""
         return tuple(llvm) <= tuple(self.llvm.llvm_version_info) and triple == self.llvm.get_process_triple()
 
-    def address(self, symbol: str, packed: bytes) -> int | None:
-        """Where the code of a symbol lies in memory; None where it cannot be made."""
+    def addresses(self, symbol: str, packed: bytes, key: tuple[str, ...], result: str) -> tuple[int, int] | None:
+        """Where the code of a symbol and its entry from Python lie in memory; None where they cannot be made."""
         version = ".".join(map(str, self.llvm.llvm_version_info))
         told = "\n".join((version, *self.processor, _own_digest(), symbol)).encode() + packed
         name = f"{symbol[-24:]}-{hashlib.sha256(told).hexdigest()[:16]}.o"
         kept = _kept(name)
         if kept is None:
             try:
-                kept = self.optimised(zlib.decompress(packed))
+                kept = self.optimised(zlib.decompress(packed), calling.entered(symbol, key, result))
             except (RuntimeError, zlib.error) as error:
                 logger.warning("the prepared code of %s cannot be used, numba compiles it: %s", symbol, error)
                 return None
             _keep(name, kept)
         self.engine.add_object_file(self.llvm.ObjectFileRef.from_data(kept))
         self.engine.finalize_object()
-        return int(self.engine.get_function_address(symbol)) or None
+        here, entry = (int(self.engine.get_function_address(name)) for name in (symbol, f"{symbol}_call"))
+        return (here, entry) if here and entry else None
 
-    def optimised(self, code: bytes) -> bytes:
-        """The object of LLVM's code: numba's own last passes."""
+    def optimised(self, code: bytes, entry: str) -> bytes:
+        """The object of LLVM's code, of which `entry` is the text of its entry from Python: numba's own last passes."""
         llvm, target = self.llvm, self.target()
-        module = llvm.parse_bitcode(code)
+        module, more = llvm.parse_bitcode(code), llvm.parse_assembly(entry)
+        more.triple, more.data_layout = module.triple, module.data_layout
+        module.link_in(more)
         options = llvm.create_pipeline_tuning_options(speed_level=3)
         # Of what stands side by side without a loop, numba makes no vectors, and is right: rows that advance together
         # would be gathered into one and taken apart again.
@@ -300,31 +313,20 @@ class Machine:
 
 @cache
 def _own_digest() -> str:
-    """Digest of this file, whose last passes decide on an object."""
-    return hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
+    """Digest of this file, whose last passes decide on an object, and of that by which code is called."""
+    return hashlib.sha256(Path(__file__).read_bytes() + Path(calling.__file__).read_bytes()).hexdigest()
 
 
 @cache
 def _machine() -> Machine | None:
     # llvmlite comes with numba; what it cannot do here, numba may.
-    if sys.implementation.name != "cpython" or ctypes.sizeof(ctypes.c_void_p) != 8 or not _layout_holds():
+    if sys.implementation.name != "cpython" or ctypes.sizeof(ctypes.c_void_p) != 8 or not calling.layout_holds():
         return None
     try:
         return Machine()
     except (ImportError, RuntimeError, AttributeError) as error:
         logger.info("no prepared kernels here: %s", error)
         return None
-
-
-def _layout_holds() -> bool:
-    """Whether arrays lie in memory as prepared code reads them, which no standard promises."""
-    sample = np.zeros((3, 5), np.int16)[:, ::2]
-
-    def words(start: int) -> list[int]:
-        return list((ctypes.c_int64 * 2).from_address(start))
-
-    data, extents, strides = (words(id(sample) + offset)[0] for offset in (DATA, EXTENTS, STRIDES))
-    return data == sample.ctypes.data and (words(extents), words(strides)) == ([3, 3], [10, 4])
 
 
 @cache

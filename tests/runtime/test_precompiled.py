@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import featreg
-from featreg.runtime import jit, precompiled
+from featreg.runtime import calling, jit, precompiled
 from featreg.runtime.preparing import LIST
 from featreg.sar.keypoints import binary_kernels, corner_kernels, motion_kernels
 from featreg.warming import stale_kernels
@@ -61,7 +61,7 @@ def test_prepared_code_gives_the_bits_of_numba() -> None:
     kernel: Any = binary_kernels.nearest_hamming
     bound = precompiled.prepared(kernel, precompiled.key_of(values))
     assert bound is not None
-    assert bound(values) == kernel.dispatcher(*words, 128, *numbas)
+    assert bound.quick(*values) == bound(values) == kernel.dispatcher(*words, 128, *numbas)
     for mine, theirs in zip(ours, numbas, strict=True):
         assert mine.tobytes() == theirs.tobytes()
     nearest = np.array([[int(x ^ y).bit_count() for y in words[1][0]] for x in words[0][:5, 0]])
@@ -75,8 +75,8 @@ def test_arguments_of_another_kind_are_no_call_of_it() -> None:
     entry = precompiled.current(kernel)[0]
     bound = precompiled.prepared(kernel, tuple(entry["key"]))
     assert bound is not None
-    assert bound((1,)) is precompiled.MISS
-    assert bound(tuple("wrong" for _ in entry["key"])) is precompiled.MISS
+    assert bound((1,)) is calling.MISS
+    assert bound(tuple("wrong" for _ in entry["key"])) is calling.MISS
     assert precompiled.prepared(kernel, ("f4:1",)) is None
 
 
@@ -162,7 +162,10 @@ def test_an_object_of_other_last_passes_is_made_again(tmp_path: Path, monkeypatc
     start, size = entry["at"]
     for number in (1, 1, 2):
         monkeypatch.setattr(precompiled, "_own_digest", lambda number=number: str(number))
-        assert precompiled.Machine().address(entry["symbol"], body[start : start + size])
+        found = precompiled.Machine().addresses(
+            entry["symbol"], body[start : start + size], tuple(entry["key"]), entry["result"]
+        )
+        assert found
     assert len(list(tmp_path.iterdir())) == 2
 
 
@@ -173,12 +176,12 @@ def test_an_object_that_was_cut_short_is_made_again(tmp_path: Path, monkeypatch:
     kernel: Any = motion_kernels.matches_of_turns
     entry, body = precompiled.current(kernel)[0], precompiled.file_of(kernel.path).read_bytes().partition(b"\n")[2]
     start, size = entry["at"]
-    packed = body[start : start + size]
-    assert machine.address(entry["symbol"], packed)
+    told = entry["symbol"], body[start : start + size], tuple(entry["key"]), entry["result"]
+    assert machine.addresses(*told)
     (kept,) = tmp_path.iterdir()
     whole = kept.read_bytes()
     kept.write_bytes(whole[: len(whole) // 2])
-    assert precompiled.Machine().address(entry["symbol"], packed)
+    assert precompiled.Machine().addresses(*told)
     assert kept.read_bytes() == whole
 
 

@@ -46,4 +46,5 @@ def test_listed_kernels_are_translated_in_a_copy_of_the_package(tmp_path: Path) 
     assert (entry["kernel"], entry["key"]) == ("matches_of_turns", listed[MODULE]["matches_of_turns"][0])
     start, size = entry["at"]
     machine = precompiled.Machine()
-    assert machine.address(entry["symbol"], body[start : start + size])
+    key = tuple(entry["key"])
+    assert machine.addresses(entry["symbol"], body[start : start + size], key, entry["result"])
