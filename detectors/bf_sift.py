@@ -25,7 +25,7 @@ Found = tuple[IntArray, FloatArray]
 NONE: Found = (np.zeros(0, np.int64), np.zeros(0))
 
 # Pixels of the image for each keypoint asked for, from which on the finer scales of an octave have enough extrema.
-PLENTY = 100
+PLENTY = 55
 
 
 @register("bf-sift")
@@ -43,7 +43,7 @@ class BfSift(Detector):
     threshold : least difference of log-amplitude
     quota_decay : a scale gets `quota_decay` times fewer keypoints than the finer one before it
     support : radius, in units of the scale's sigma, from which a keypoint is described; it must be free of nodata
-    thin : leave the coarsest scale of each octave out where the image has at least 100 valid pixels for each keypoint
+    thin : leave the coarsest scale of each octave out where the image has at least 55 valid pixels for each keypoint
         asked for, and an octave more than one scale
     skip : so many of the finest scales give no keypoints
     orientation_scale : the orientation is that of gradients whose sigma is so many times that of the keypoint, within

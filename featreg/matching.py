@@ -239,7 +239,7 @@ def keypoints_of(
 
         whole, _ = focused_input(whole, focus)
     seen = bridged(whole)
-    xy = matcher.detector.detect_features(seen).best(matcher.n_features).xy
+    xy = matcher.keypoints(seen)
     return xy[on_sample(xy, seen)]
 
 

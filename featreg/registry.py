@@ -193,6 +193,7 @@ def _hold_together(name: str, preset: Preset) -> None:
             for switch in ("locate", "refine", "common_rotation", "robust", "for_unlike")
         ),
         *((values, Mapping, "a mapping") for values in ("trust", "refinement")),
+        ("pixels_per_feature", int | float, "a number"),
         ("summary", str, "a line of text"),
     ):
         if not isinstance(getattr(preset, field_name), kind):

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import inspect
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Interval
 
 from featreg import registry
 from featreg.errors import ParameterError, suggest
@@ -89,8 +91,8 @@ def assemble(
     n_features : most features per image and most final tie points; in blocks, of each block
     blocks : whether it is to work in blocks: each plugin then has its `block_parameters`; None where it is not known
     keywords : ``detector``, ``descriptor``, ``nearest``, ``matcher`` (name or object), ``filters`` (list of names or
-        objects), ``common_rotation``, ``robust`` (see `Pipeline`), and any parameter of any part, as ``name`` or
-        ``part.name``
+        objects), ``common_rotation`` and ``pixels_per_feature`` (see `FeatureMatcher`), ``robust`` (see `Pipeline`),
+        and any parameter of any part, as ``name`` or ``part.name``
 
     Raises
     ------
@@ -106,20 +108,28 @@ def assemble(
     name, preset = _preset(method)
     given = dict(keywords)
     slots = _slots(name, preset, method, given)
-    common = given.pop("common_rotation", None)
-    if common is not None and "matcher" in slots:
+    own = {key: given.pop(key, None) for key in ("common_rotation", "pixels_per_feature")}
+    features: dict[str, Any] = {key: value for key, value in own.items() if value is not None}
+    if features and "matcher" in slots:
         raise ParameterError(
-            f"common_rotation is for methods that describe features, and '{name}' makes tie points by the matcher "
-            f"'{slots['matcher'].name}': leave it out"
+            f"{next(iter(features))} is for methods that describe features, and '{name}' makes tie points by the "
+            f"matcher '{slots['matcher'].name}': leave it out"
         )
-    common = preset.common_rotation if common is None else common
-    check("common_rotation", common, bool)
     switches = {
         # The positions of a matcher of its own may be what it is good at.
         "locate": _switch("locate", preset.locate and "matcher" not in slots if locate is None else locate),
         "refine": _switch("refine", preset.refine if refine is None else refine),
     }
-    return _assembled(name, preset, slots, model, switches, n_features, blocks, bool(common), given)
+    # Where nothing measures positions again they are found at full size; what blocks gain is not known.
+    reduced = any(switches.values()) and not blocks
+    usual = {"common_rotation": preset.common_rotation, "pixels_per_feature": preset.pixels_per_feature * reduced}
+    features = usual | features
+    for key, allowed in (
+        ("common_rotation", bool),
+        ("pixels_per_feature", Annotated[float, Interval(ge=0, lt=math.inf)]),
+    ):
+        check(key, features[key], allowed)
+    return _assembled(name, preset, slots, model, switches, n_features, blocks, features, given)
 
 
 def assemble_all(method: str | Pipeline | Matcher = DEFAULT_METHOD, **keywords: Any) -> tuple[Pipeline, ...]:
@@ -143,7 +153,7 @@ def assemble_fit(*, model: str | type[Model] | None, filters: Any, **keywords: A
     if of_match:
         raise ParameterError(f"{of_match[0]} is for featreg.match: the tie points of a fit are given")
     none = {"locate": False, "refine": False}
-    return _assembled("tie points", preset, {}, model, none, None, False, False, {**keywords, "filters": filters})
+    return _assembled("tie points", preset, {}, model, none, None, False, {}, {**keywords, "filters": filters})
 
 
 def _switch(name: str, value: Any) -> bool:
@@ -159,7 +169,7 @@ def _assembled(
     switches: Mapping[str, bool],
     n_features: int | None,
     blocks: bool | None,
-    common_rotation: bool,
+    features: Mapping[str, Any],
     keywords: dict[str, Any],
 ) -> Pipeline:
     budget = _budget(n_features, BLOCK_FEATURES if blocks else DEFAULT_FEATURES)
@@ -172,7 +182,7 @@ def _assembled(
             slot.parameters.setdefault(key, value)
         if "n_features" in slot.known:
             slot.parameters.setdefault("n_features", budget)
-    matcher = _matcher(slots, budget, common_rotation) if slots else None
+    matcher = _matcher(slots, budget, features) if slots else None
     chosen = model if isinstance(model, type) else registry.model_class(model or preset.model or DEFAULT_MODEL)
     parameters: dict[str, Any] = {
         "n_features": budget,
@@ -181,7 +191,7 @@ def _assembled(
         "robust": bool(robust),
     }
     if isinstance(matcher, FeatureMatcher):
-        parameters["common_rotation"] = matcher.common_rotation
+        parameters |= features
     parameters |= {role: slot.record for role, slot in {**slots, **steps}.items()}
     if locating is not None:
         parameters["locating"] = _values(locating)
@@ -307,7 +317,7 @@ def _route(
     )
 
 
-def _matcher(slots: Mapping[str, _Slot], budget: int, common_rotation: bool) -> Matcher:
+def _matcher(slots: Mapping[str, _Slot], budget: int, features: Mapping[str, Any]) -> Matcher:
     if "matcher" in slots:
         ready: Matcher = slots["matcher"].made
         return ready
@@ -315,6 +325,4 @@ def _matcher(slots: Mapping[str, _Slot], budget: int, common_rotation: bool) -> 
     if missing:
         raise ParameterError(f"a feature method needs a {' and a '.join(missing)}")
     descriptor = slots["descriptor"].made if "descriptor" in slots else None
-    return FeatureMatcher(
-        slots["detector"].made, descriptor, slots["nearest"].made, budget, common_rotation=common_rotation
-    )
+    return FeatureMatcher(slots["detector"].made, descriptor, slots["nearest"].made, budget, **features)

@@ -15,6 +15,7 @@ from featreg.interfaces import Descriptor, Detector, Matcher, Nearest, Plugin
 from featreg.runtime.buffers import keeping
 from featreg.runtime.threads import side_by_side
 from featreg.runtime.timing import stage
+from featreg.sar.pyramid import reduced, to_base
 from featreg.types import Features, FloatArray, Image, IntArray, Matches
 
 # The vote on a common rotation: how many features take part, the width of a bin, and how far (in standard
@@ -23,6 +24,8 @@ VOTERS = 500
 BINS = 72
 SMOOTHING = 2
 SIGNIFICANCE = 6.0
+# Images are reduced to no less than the first share of their side, and not at all where the second would do.
+LEAST_SHARE, WORTH = 0.5, 0.85
 
 
 @dataclass(frozen=True)
@@ -34,9 +37,15 @@ class FeatureMatcher(Matcher):
     detector, descriptor, nearest : the parts; `descriptor` may be None where the detector describes at once
     n_features : at most so many features of each image are used, those of the highest score
     common_rotation : look for one rotation between the images and describe all features of each image in one direction
+    pixels_per_feature : where the smaller of the images has more valid pixels than so many for each of `n_features`,
+        features are found in images reduced to about so many, at most to half of their sides; 0 never reduces them
 
     Notes
     -----
+    Reduced images are averages, in which less speckle is left, and features spread further over what is there. At 60
+    pixels for each feature, simulated looks of Sentinel-1 and pairs of its dates have 1.2 to 2 times as many correct
+    matches as at full size, found sooner. Positions are as much coarser, so that they are to be measured again.
+
     Under speckle the orientation of a single keypoint is off by tens of degrees, but two images of one scene are turned
     by one angle. With `common_rotation` the strongest features, described by their own angles, vote on it; where the
     vote is clear, all features of the reference are described upright and those of the secondary turned by that angle.
@@ -48,12 +57,14 @@ class FeatureMatcher(Matcher):
     nearest: Nearest
     n_features: int = 5000
     common_rotation: bool = True
+    pixels_per_feature: float = 0.0
 
     @property
     def reach(self) -> float:
         """That of the detector, or of the descriptor at the detector's largest keypoints."""
         found = self.detector.reach
-        return found if self.descriptor is None else max(found, self.descriptor.reach_of(found))
+        reach = found if self.descriptor is None else max(found, self.descriptor.reach_of(found))
+        return reach / LEAST_SHARE if self.pixels_per_feature else reach
 
     @property
     def parts(self) -> tuple[Plugin, ...]:
@@ -61,6 +72,28 @@ class FeatureMatcher(Matcher):
         return tuple(part for part in found if part is not None)
 
     def match(self, reference: Image, secondary: Image) -> Matches:
+        share = self._share(reference, secondary)
+        if share == 1:
+            return self._matched(reference, secondary)
+        with stage("detect"):
+            one, two = (reduced(image, share) for image in (reference, secondary))
+        found = self._matched(one, two)
+        first, second = to_base(found.reference_xy, one, reference), to_base(found.secondary_xy, two, secondary)
+        return replace(found, reference_xy=first, secondary_xy=second)
+
+    def keypoints(self, image: Image) -> FloatArray:
+        """(N, 2) keypoints in an image that is compared with one of its size, at most `n_features`."""
+        seen = reduced(image, self._share(image))
+        return to_base(self.detector.detect_features(seen).best(self.n_features).xy, seen, image)
+
+    def _share(self, *images: Image) -> float:
+        """The share of their sides at which features are found in images."""
+        wanted = self.pixels_per_feature * self.n_features
+        pixels = min(int(np.count_nonzero(image.mask)) for image in images) if wanted else 0
+        share = max(LEAST_SHARE, math.sqrt(wanted / pixels)) if pixels else 1.0
+        return share if share < WORTH else 1.0
+
+    def _matched(self, reference: Image, secondary: Image) -> Matches:
         with stage("detect"), keeping():
             detector = self.detector.for_pair(reference, secondary)
             found = self._each(self._detect, [(detector, reference), (detector, secondary)])

@@ -44,6 +44,7 @@ KEYWORDS = (
     Keyword("matcher", "part"),
     Keyword("filters", "part"),
     Keyword("common_rotation", "part"),
+    Keyword("pixels_per_feature", "part"),
     Keyword("robust", "part"),
     Keyword("seed", "seed", "--seed"),
     Keyword("initial", "search", "--initial"),

@@ -244,7 +244,7 @@ def test_blobs_are_found_at_their_centre_and_scale(sign: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("n_features", "thin", "all_scales"), [(400, True, False), (400, False, True), (401, True, True)]
+    ("n_features", "thin", "all_scales"), [(727, True, False), (727, False, True), (728, True, True)]
 )
 def test_the_coarsest_scale_of_an_octave_is_not_needed_where_there_are_pixels_enough(
     sar_texture: Texture, n_features: int, thin: bool, all_scales: bool
@@ -256,7 +256,7 @@ def test_the_coarsest_scale_of_an_octave_is_not_needed_where_there_are_pixels_en
 
 def test_the_smaller_of_a_pair_decides_on_the_scales_of_both(sar_texture: Texture) -> None:
     large, small = as_image(sar_texture(200, 200)), as_image(sar_texture(198, 200))
-    found = registry.create("detector", "bf-sift", n_features=400, quota_decay=1.0, support=4.0)
+    found = registry.create("detector", "bf-sift", n_features=725, quota_decay=1.0, support=4.0)
     for pair, all_scales in (((large, large), False), ((large, small), True), ((small, large), True)):
         levels = found.for_pair(*pair).detect_features(large).level
         assert (np.isin([2, 5], levels) == all_scales).all()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Self
@@ -15,6 +16,7 @@ from featreg import registry
 from featreg.errors import ParameterError
 from featreg.interfaces import Detector
 from featreg.io import as_image
+from featreg.pipeline.assembly import assemble
 from featreg.pipeline.feature_matcher import FeatureMatcher, common_rotation
 from featreg.simulate import SimulatedPair
 from featreg.types import Features, Image, Matches
@@ -161,3 +163,80 @@ def test_a_descriptor_that_is_asked_for_describes(ready: bool, pair: SimulatedPa
     _, table = featreg.extractor(detector, "brief").detectAndCompute(pair.reference)
     assert table is not None
     assert table.dtype == np.uint8
+
+
+@dataclass(frozen=True)
+class Sized(Detector):
+    """One point, at the size of the image that was given."""
+
+    def detect_features(self, image: Image) -> Features:
+        size = np.array([image.shape[::-1]], np.float64)
+        return Features(size, np.ones(1), np.zeros(1), np.ones(1), np.zeros(1, np.int64), np.ones((1, 4), np.float32))
+
+
+@pytest.mark.parametrize(
+    ("n_features", "pixels_per_feature", "share"),
+    [
+        (100, 0.0, 1.0),
+        (100, 60.0, 0.5),
+        (200, 50.0, 0.5),
+        (200, 60.0, math.sqrt(0.3)),
+        (480, 60.0, math.sqrt(0.72)),
+        (490, 60.0, 1.0),
+        (700, 60.0, 1.0),
+    ],
+)
+def test_images_are_reduced_to_the_pixels_that_the_features_need(
+    n_features: int, pixels_per_feature: float, share: float
+) -> None:
+    """As far as the smaller of them has them to spare, to half at most, and not for a little."""
+    large = Image(np.ones((300, 250), np.float32), np.ones((300, 250), np.bool_))
+    mask = np.zeros((210, 220), np.bool_)
+    mask[:200, :200] = True
+    small = Image(np.where(mask, np.float32(1), np.float32(0)), mask)
+    nearest = registry.create("nearest", "brute-force")
+    made = FeatureMatcher(Sized(), None, nearest, n_features, False, pixels_per_feature)
+    for images in ((large, small), (small, large)):
+        found = made.match(*images)
+        for (seen,), image in zip((found.reference_xy, found.secondary_xy), images, strict=True):
+            height, width = image.shape
+            sides = np.array([round(width * share), round(height * share)])
+            np.testing.assert_allclose(seen, (sides + 0.5) * [width, height] / sides - 0.5)
+
+
+def test_reduced_images_give_positions_in_pixels_of_the_images(turned_pair: SimulatedPair) -> None:
+    images = as_image(turned_pair.reference), as_image(turned_pair.secondary)
+    found = replace(matcher(400), pixels_per_feature=60.0).match(*images)
+    found = found.take(correct(found, turned_pair.truth))
+    assert len(found) > 100
+    mapped = found.reference_xy @ turned_pair.truth[:, :2].T + turned_pair.truth[:, 2]
+    assert np.abs(np.mean(mapped - found.secondary_xy, axis=0)).max() < 0.1
+
+
+def test_a_few_features_of_rift_match_more_often_in_a_reduced_image(turned_pair: SimulatedPair) -> None:
+    images, truth = (turned_pair.reference, turned_pair.secondary), turned_pair.truth
+    both = [
+        featreg.match(*images, method="rift", n_features=300, refine=False, pixels_per_feature=p) for p in (0.0, 60.0)
+    ]
+    good = [int(correct(r.matches.take(r.inliers), truth).sum()) for r in both]
+    assert good[1] > 2 * good[0]
+    assert both[1].status == "ok"
+
+
+def test_keypoints_are_those_of_an_image_compared_with_one_of_its_size(sar_texture: Texture) -> None:
+    image = as_image(sar_texture(200, 200))
+    made = replace(matcher(200), pixels_per_feature=60.0)
+    found = made.match(image, image)
+    own = {tuple(point) for point in made.keypoints(image)}
+    assert len(found) > 20
+    assert {tuple(point) for point in found.reference_xy} <= own
+
+
+def test_only_positions_that_are_measured_again_are_found_in_reduced_images() -> None:
+    def used(**keywords: Any) -> Any:
+        return assemble("rift", **keywords).parameters["pixels_per_feature"]
+
+    assert used() == used(refine=False) == used(locate=False) > 0
+    assert used(locate=False, refine=False) == used(blocks=True) == 0
+    assert used(locate=False, refine=False, pixels_per_feature=40.0) == 40.0
+    assert used(pixels_per_feature=0) == 0

@@ -97,6 +97,8 @@ def test_an_experiment_refuses_what_match_refuses(keywords: dict[str, Any], text
         ({"method": "cls", "descriptor": "brief"}, "matcher 'patch-grid'"),
         ({"matcher": "patch-grid", "nearest": "brute-force"}, "nearest does nothing"),
         ({"method": "rc-obcls", "common_rotation": True}, "common_rotation is for methods that describe"),
+        ({"method": "rc-obcls", "pixels_per_feature": 60.0}, "pixels_per_feature is for methods that describe"),
+        ({"pixels_per_feature": -1.0}, "'pixels_per_feature' must be"),
         ({"refine": False, "refine.half": 20}, "does nothing without refinement"),
         ({"locate": False, "half_width": 12}, "does nothing without locating"),
         ({"method": "orb", "least_peak": 0.5}, "does nothing without locating"),
