@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from featreg.interfaces import Descriptor
 from featreg.registry import register
 from featreg.runtime.parameters import Count, Positive
-from featreg.sar.pyramid import REACH, SUPPORT, clear, pyramid
+from featreg.sar.pyramid import REACH, SUPPORT, clear, level_count, pyramid
 from featreg.sar.speckle import despeckled_bytes_around
 from featreg.types import Features, FloatArray, Image, read_only
 
@@ -60,9 +60,10 @@ class Brief(Descriptor):
     def describe_features(self, image: Image, features: Features) -> Features:
         from featreg.sar.keypoints import binary_kernels
 
-        chain = pyramid(image, self.levels, self.factor)
         steps = np.log(np.maximum(features.scale, 1e-9) / self.radius) / math.log(self.factor)
-        numbers = np.clip(np.rint(steps), 0, len(chain) - 1).astype(np.int64)
+        last = level_count(image.shape, self.levels, self.factor) - 1
+        numbers = np.clip(np.rint(steps), 0, last).astype(np.int64)
+        chain = pyramid(image, int(numbers.max(initial=0)) + 1, self.factor)
         words = np.zeros((len(features), self.bits // 64), np.uint64)
         kept = np.zeros(len(features), np.uint8)
         table = turned_pattern(self.bits, self.radius, self.spread)

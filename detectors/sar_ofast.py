@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Annotated, Literal
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from annotated_types import Ge, Gt, Interval
@@ -15,11 +15,13 @@ from featreg.registry import register
 from featreg.runtime.parameters import Count, Positive
 from featreg.sar.gradients.ratio import quantised_edges, ratio_gradients
 from featreg.sar.keypoints.corners import fast_corners, orientation, refine_centroid, refine_corner
-from featreg.sar.pyramid import REACH, SUPPORT, clear, pyramid, share_out, to_base
+from featreg.sar.pyramid import REACH, SUPPORT, clear, level_count, pyramid, share_out, to_base
 from featreg.sar.speckle import despeckled_bytes_around
 from featreg.types import Features, Image
 
 ORIENTATION_RADIUS = 15
+# Least number of valid pixels of the first level for each keypoint asked for where finer levels are not searched.
+PLENTY = 90
 
 
 @register("sar-ofast")
@@ -41,6 +43,8 @@ class SarOfast(Detector):
     clip : whether the strongest edges share the value 255, or it stands for the greatest strength alone
     sigma : standard deviation in pixels of the Gaussian weight of the 7 x 7 sub-pixel neighbourhood
     centroid : of what the direction of a corner is the centroid: "amplitude" (despeckled) or "edges" (the paper's)
+    skip : at most so many of the finest levels are not searched, but as many more coarser ones: as long as the first
+        one that is has at least 90 valid pixels for each keypoint asked for
 
     Notes
     -----
@@ -53,7 +57,10 @@ class SarOfast(Detector):
     RMSE of the correct matches against 0.83 px without and 0.83 px by Eq. 7); finer levels get a larger share
     (`quota_decay`), because a pixel of error there costs less; the direction is that of the despeckled
     amplitude; strong edges are clipped. A corner that runs away stays at its pixel and is marked False in
-    `Features.subpixel`.
+    `Features.subpixel`. Where corners are few beside the pixels, the finest levels are not searched (`skip`): coarser
+    ones have less speckle, and more corners are found again (a corner for each 180 px, three levels of 1.3 from the
+    second on: a fifth more correct matches at four looks, twice as many at one), for half of the work. The number of
+    valid pixels decides, that of the smaller image of a pair for both (`for_pair`).
     """
 
     n_features: Count = 5000
@@ -69,14 +76,20 @@ class SarOfast(Detector):
     sigma: Annotated[float, Interval(ge=0.3, le=10)] = 1.0
     clip: bool = True
     centroid: Literal["amplitude", "edges"] = "amplitude"
+    skip: Annotated[int, Interval(ge=0, le=8)] = 0
 
     @property
     def reach(self) -> float:
         """What must be free on the coarsest level."""
-        return (self.support + REACH) * self.factor ** (self.levels - 1)
+        return (self.support + REACH) * self.factor ** (self.skip + self.levels - 1)
+
+    def for_pair(self, reference: Image, secondary: Image) -> Self:
+        """With the finest levels that either image needs."""
+        return replace(self, skip=min(self._skipped(reference), self._skipped(secondary)))
 
     def detect_features(self, image: Image) -> Features:
-        chain = pyramid(image, self.levels, self.factor)
+        first = self._skipped(image)
+        chain = pyramid(image, first + self.levels, self.factor)[first:]
         found = [self._corners(level) for level in chain]
         counts = share_out(self.n_features, [len(score) for _, score in found], self.quota_decay)
         parts = []
@@ -97,9 +110,17 @@ class SarOfast(Detector):
             scale=np.repeat(scales, counts)[order],
             angle=angle[order],
             score=score[order],
-            level=np.repeat(np.arange(len(chain)), counts)[order],
+            level=np.repeat(np.arange(first, first + len(chain)), counts)[order],
             subpixel=stable[order],
         )
+
+    def _skipped(self, image: Image) -> int:
+        """How many of the finest levels are not searched: none for which there is no coarser one instead."""
+        valid, skipped = np.count_nonzero(image.mask), 0
+        most = min(self.skip, level_count(image.shape, self.skip + self.levels, self.factor) - self.levels)
+        while skipped < most and valid >= PLENTY * self.n_features * self.factor ** (2 * (skipped + 1)):
+            skipped += 1
+        return skipped
 
     def _edges(self, level: Image) -> NDArray[np.uint8]:
         return level.derive(quantised_edges, alpha=self.alpha, floor=self.floor, eq5=self.edge == "eq5", clip=self.clip)

@@ -223,8 +223,8 @@ PRESETS: dict[str, Preset] = {
     ),
     "sar-orb": Preset(
         "SAR-OFAST corners on a ROEWA edge pyramid, BRIEF in one common direction, GMS, FSC",
-        detector=Part("sar-ofast", _THREE_LEVELS),
-        descriptor=Part("brief", _THREE_LEVELS),
+        detector=Part("sar-ofast", {**_THREE_LEVELS, "skip": 2}),
+        descriptor=Part("brief", {**_THREE_LEVELS, "levels": 5}),
         nearest=Part("brute-force"),
     ),
     "sar-orb-paper": Preset(

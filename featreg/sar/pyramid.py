@@ -27,7 +27,16 @@ def pyramid(image: Image, levels: int = 8, factor: float = 1.2) -> tuple[Image, 
     """
     base = image.derive(_amplitude_image) if image.is_complex else image
     # The image itself stays out of its store of derived maps: a cycle would keep all of them alive until collected.
-    return (base, *base.derive(_smaller, levels=levels, factor=float(factor)))
+    count = level_count(image.shape, levels, factor)
+    return (base, *(base.derive(_level, number=number, factor=float(factor)) for number in range(1, count)))
+
+
+def level_count(shape: tuple[int, int], most: int, factor: float) -> int:
+    """Return how many levels, at most so many, the pyramid of an image of that shape (H, W) has; at least 1."""
+    count = 1
+    while count < most and min(_level_size(shape, count, factor)) >= SMALLEST:
+        count += 1
+    return count
 
 
 def to_base(xy: FloatArray, level: Image, base: Image) -> FloatArray:
@@ -68,26 +77,25 @@ def _amplitude_image(image: Image) -> Image:
     return Image(image.amplitude, image.mask, source_dtype=image.source_dtype)
 
 
-def _smaller(image: Image, levels: int, factor: float) -> tuple[Image, ...]:
+def _level_size(shape: tuple[int, int], number: int, factor: float) -> tuple[int, int]:
+    """(width, height) of a level."""
+    return round(shape[1] / factor**number), round(shape[0] / factor**number)
+
+
+def _level(image: Image, number: int, factor: float) -> Image:
     import cv2
 
-    height, width = image.shape
-    chain = [image]
-    for level in range(1, levels):
-        size = (round(width / factor**level), round(height / factor**level))
-        if min(size) < SMALLEST:
-            break
-        before = chain[-1]
-        pixels = cv2.resize(before.amplitude, size, interpolation=cv2.INTER_LINEAR)
-        mask: BoolArray
-        if before.all_valid:
-            mask = everywhere((pixels.shape[0], pixels.shape[1]))
-        else:
-            share = cv2.resize(before.mask.view(np.uint8) * 255, size, interpolation=cv2.INTER_LINEAR)
-            mask = share == 255
-            pixels *= mask
-        chain.append(Image(read_only(np.asarray(pixels, np.float32)), read_only(mask), source_dtype=image.source_dtype))
-    return tuple(chain[1:])
+    before = image if number == 1 else image.derive(_level, number=number - 1, factor=factor)
+    size = _level_size(image.shape, number, factor)
+    pixels = cv2.resize(before.amplitude, size, interpolation=cv2.INTER_LINEAR)
+    mask: BoolArray
+    if before.all_valid:
+        mask = everywhere((pixels.shape[0], pixels.shape[1]))
+    else:
+        share = cv2.resize(before.mask.view(np.uint8) * 255, size, interpolation=cv2.INTER_LINEAR)
+        mask = share == 255
+        pixels *= mask
+    return Image(read_only(np.asarray(pixels, np.float32)), read_only(mask), source_dtype=image.source_dtype)
 
 
 def _reduced_to(image: Image, height: int, width: int) -> Image:

@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from featreg import registry
 from featreg.errors import ParameterError
 from featreg.io import as_image
+from featreg.pipeline.feature_matcher import FeatureMatcher
 from featreg.sar.pyramid import SMALLEST, clear, pyramid, to_base
+from featreg.simulate import sar_pair
 from featreg.types import Features, Image
 
 Texture = Callable[..., NDArray[np.float32]]
@@ -191,3 +193,67 @@ def test_what_lies_under_the_mask_has_no_influence(sar_texture: Texture) -> None
 def test_impossible_parameters_are_refused_when_the_detector_is_made(parameters: dict[str, Any]) -> None:
     with pytest.raises(ParameterError):
         registry.create("detector", "sar-ofast", **parameters)
+
+
+# Levels that are not searched
+
+
+@pytest.mark.parametrize(("n_features", "wanted"), [(1000, 0), (186, 0), (180, 1), (108, 2), (50, 2)])
+def test_finer_levels_are_not_searched_where_keypoints_are_few_beside_the_pixels(
+    sar_texture: Texture, n_features: int, wanted: int
+) -> None:
+    """165 x 170 pixels are 28 050, of which a level of 1.3 keeps 1 / 1.69: 90 for each of 184 keypoints."""
+    found = detect(as_image(sar_texture(165, 170)), n_features=n_features, levels=3, factor=1.3, skip=2)
+    assert set(found.level) == {wanted, wanted + 1, wanted + 2}
+    for level in set(found.level):
+        assert found.scale[found.level == level][0] == pytest.approx(20 * 1.3**level, rel=0.01)
+
+
+def test_levels_that_are_searched_are_those_of_the_whole_pyramid(sar_texture: Texture) -> None:
+    picture = as_image(sar_texture(200, 220))
+    plenty = {"n_features": 10**6, "factor": 1.3}
+    everything = detect(picture, levels=4, **plenty)
+    some = detect(picture, n_features=150, levels=2, factor=1.3, skip=2)
+    assert set(some.level) == {2, 3}
+    assert set(map(tuple, some.xy)) <= set(map(tuple, everything.take(everything.level >= 2).xy))
+
+
+def test_no_level_is_skipped_for_which_there_is_no_coarser_one(sar_texture: Texture) -> None:
+    found = detect(as_image(sar_texture(90, 90)), n_features=10, levels=5, factor=1.25, skip=3)
+    assert found.level.min() == 0
+
+
+def test_pixels_without_data_do_not_count(sar_texture: Texture) -> None:
+    amplitude = sar_texture(165, 170)
+    mask = np.ones(amplitude.shape, np.bool_)
+    mask[:60] = False
+    parameters = {"n_features": 170, "levels": 3, "factor": 1.3, "skip": 2}
+    assert detect(as_image(amplitude), **parameters).level.min() == 1
+    assert detect(as_image(amplitude, mask=mask), **parameters).level.min() == 0
+
+
+def test_the_smaller_image_of_a_pair_decides_for_both(sar_texture: Texture) -> None:
+    large, small = as_image(sar_texture(260, 260)), as_image(sar_texture(150, 150))
+    detector = registry.create("detector", "sar-ofast", n_features=120, levels=2, factor=1.3, skip=2)
+    for pair in ((large, small), (small, large)):
+        chosen = detector.for_pair(*pair)
+        assert [chosen.detect_features(one).level.min() for one in pair] == [1, 1]
+    assert detector.detect_features(large).level.min() == 2
+
+
+def test_coarser_levels_find_more_of_few_corners_again() -> None:
+    """Correct within 3 px of the truth among the nearest descriptors of two images with speckle of their own."""
+    pair = sar_pair((360, 360), rotation_deg=5.0, shift=(4.0, -3.0), looks=1.0, seed=3)
+    images = as_image(pair.reference), as_image(pair.secondary)
+    correct = []
+    for skip in (0, 2):
+        detector = registry.create("detector", "sar-ofast", n_features=450, levels=3, factor=1.3, skip=skip)
+        matcher = FeatureMatcher(
+            detector,
+            registry.create("descriptor", "brief", levels=5, factor=1.3),
+            registry.create("nearest", "brute-force"),
+        )
+        matches = matcher.match(*images)
+        away = np.hypot(*(matches.reference_xy @ pair.truth[:, :2].T + pair.truth[:, 2] - matches.secondary_xy).T)
+        correct.append(int((away < 3).sum()))
+    assert correct[1] > 1.2 * correct[0] > 20

@@ -64,7 +64,7 @@ def test_the_halo_holds_the_support_of_every_keypoint(method: str, sar_texture: 
 
 
 def test_the_halo_grows_with_the_support_and_is_wide_where_none_is_stated() -> None:
-    assert halo_of(_matcher("sar-orb"), None) == 40
+    assert halo_of(_matcher("sar-orb"), None) == 64
     assert halo_of(_matcher("sar-orb-paper"), None) > 64
     assert halo_of(Blind(), None) == REACH
     assert halo_of(_matcher("sar-orb"), Refine(half=60)) >= 60

@@ -26,8 +26,10 @@ def describe_level(
     """
     height, width = allowed.shape
     count = table.shape[1]
-    first, second = np.empty((table.shape[0], count), np.int64), np.empty((table.shape[0], count), np.int64)
-    known = np.zeros(table.shape[0], np.bool_)
+    # Point by point from above, so that what they look at stays in the cache: the last point of each row, then the one
+    # of that row before each.
+    last, before = np.full(height, -1, np.int64), np.empty(xy.shape[0], np.int64)
+    at = np.empty(xy.shape[0], np.int64)
     for i in range(xy.shape[0]):
         if numbers[i] != number:
             continue
@@ -36,21 +38,32 @@ def describe_level(
         if x < 0 or y < 0 or x >= width or y >= height or allowed[y, x] == 0:
             continue
         kept[i] = 1
-        turn = turns[i]
-        if not known[turn]:
-            known[turn] = True
-            for b in range(count):
-                first[turn, b] = table[turn, b, 0] + width * np.int64(table[turn, b, 1])
-                second[turn, b] = table[turn, b, 2] + width * np.int64(table[turn, b, 3])
-        one, two = first[turn], second[turn]
-        at = y * width + x
-        for word in range(count // 64):
-            value = np.uint64(0)
-            for b in range(64):
-                k = word * 64 + b
-                darker = flat[np.uint64(at + one[k])] < flat[np.uint64(at + two[k])]
-                value |= np.uint64(darker) << np.uint64(b)
-            bits[i, word] = value
+        at[i] = y * width + x
+        before[i] = last[y]
+        last[y] = i
+    steps = np.empty((table.shape[0], count, 2), np.int32)
+    known = np.zeros(table.shape[0], np.bool_)
+    for row in range(height):
+        point = np.int64(last[row])
+        while point >= 0:
+            turn = turns[point]
+            own = steps[turn]
+            if not known[turn]:
+                known[turn] = True
+                for b in range(count):
+                    for end in range(2):
+                        along, down = table[turn, b, 2 * end], table[turn, b, 2 * end + 1]
+                        own[b, end] = np.int32(along) + np.int32(width) * np.int32(down)
+            middle = np.uint64(at[point])
+            for word in range(count // 64):
+                value = np.uint64(0)
+                for b in range(64):
+                    k = np.uint64(64 * word + 63 - b)
+                    first = flat[middle + np.uint64(own[k, np.uint64(0)])]
+                    second = flat[middle + np.uint64(own[k, np.uint64(1)])]
+                    value = value + value + np.uint64(first < second)
+                bits[point, word] = value
+            point = np.int64(before[point])
 
 
 @inlined
