@@ -70,10 +70,21 @@ def warm_up() -> None:
     focus(complex_[1])
     offsets(*real, window=32)
     _warm_drawings(*real)
+    _warm_reading(real[0])
     _warm_windows(real[0])
     _warm_pieces(real[0])
     _warm_agreement(real[0])
     _warm_geometry()
+
+
+def _warm_reading(pixels: Any) -> None:
+    """Read samples of which one value stands for no data."""
+    import numpy as np
+
+    from featreg.io import as_image
+
+    for kind in (np.float32, np.uint16, np.uint8):
+        as_image(np.clip(pixels, 0, 255).astype(kind), nodata=0)
 
 
 def _warm_windows(pixels: Any) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from numbers import Real
 from pathlib import Path
 from typing import Any, cast
 
@@ -27,6 +28,8 @@ from featreg.io.scales import SCALES, NoContentError, check_content, complex_pix
 from featreg.types import BoolArray, Image, everywhere, read_only
 
 SMALLEST = 16
+#: Largest amplitude.
+LARGEST = float(np.finfo(np.float32).max)
 
 ImageLike = str | Path | NDArray[Any] | Image | DataArrayLike
 
@@ -203,6 +206,12 @@ def _image(
 ) -> Image:
     samples = raster.samples
     _check_form(samples, name)
+    found = _amplitude_at_once(raster, mask, nodata, scale, name)
+    if found is not None:
+        return Image(
+            read_only(found[0]), read_only(found[1]), raster.geolocation, name, raster.dtype, "amplitude",
+            band=raster.band, calibration=calibration, nodata=nodata,
+        )  # fmt: skip
     hole = holds_nodata(samples, raster.nodata if nodata is None else nodata)
     valid = _combine(raster.mask, mask, hole, (samples.shape[0], samples.shape[1]), name)
     samples = physical(raster)
@@ -223,6 +232,40 @@ def _image(
         read_only(pixels), read_only(valid), raster.geolocation, name, raster.dtype, scale,
         band=raster.band, calibration=calibration, nodata=nodata,
     )  # fmt: skip
+
+
+def _amplitude_at_once(
+    raster: Raster, mask: MaskLike | None, nodata: complex | None, scale: str | None, name: str
+) -> tuple[NDArray[np.float32], BoolArray] | None:
+    """Amplitude and mask of the usual case in one pass over the samples: a stated value without data, no conversion.
+
+    None where it is another case, or where a sample is negative or not finite; what is returned is what the steps for
+    all cases give.
+    """
+    samples, value = raster.samples, raster.nodata if nodata is None else nodata
+    kind = samples.dtype
+    if kind not in (np.float32, np.uint8, np.uint16) or not kind.isnative or not samples.flags.c_contiguous:
+        return None
+    if (raster.gain, raster.offset, raster.factor) != (1.0, 0.0, None) or scale not in (None, "amplitude"):
+        return None
+    if scale is None and raster.said is not None and kind.kind == "f":
+        return None
+    if isinstance(value, bool) or not isinstance(value, Real) or not abs(float(value)) <= LARGEST:
+        return None
+    if kind.kind == "u" and not (float(value).is_integer() and 0 <= value <= np.iinfo(kind).max):
+        return None
+    from featreg.io.amplitude_kernels import amplitudes
+
+    pixels, valid = np.empty(samples.shape, np.float32), np.empty(samples.shape, np.bool_)
+    if amplitudes(samples, np.float32(value), pixels, valid) < 0:
+        return None
+    if raster.mask is not None or mask is not None:
+        for other in (raster.mask, None if mask is None else as_mask(mask, (len(samples), samples.shape[1]), name)):
+            if other is not None:
+                valid &= other
+        np.copyto(pixels, 0, where=~valid)
+    check_content(pixels, valid, name)
+    return pixels, valid
 
 
 def _check_form(samples: NDArray[Any], name: str) -> None:

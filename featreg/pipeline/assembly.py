@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Annotated, Any
 
 import numpy as np
@@ -211,8 +211,12 @@ def _budget(n_features: int | None, usual: int) -> int:
 
 def _values(part: Any) -> dict[str, Any]:
     """Every parameter of an object with its value, where it keeps it under its own name."""
-    names = inspect.signature(type(part)).parameters
-    return {key: getattr(part, key) for key in names if hasattr(part, key)}
+    return {key: getattr(part, key) for key in _names(type(part)) if hasattr(part, key)}
+
+
+@cache
+def _names(kind: Callable[..., Any]) -> tuple[str, ...]:
+    return tuple(inspect.signature(kind).parameters)
 
 
 def _preset(method: str | Matcher) -> tuple[str, Preset]:

@@ -60,7 +60,8 @@ def _level_above(amplitude: NDArray[np.float32], mask: BoolArray, empty: int) ->
     # The usual case in quick passes: hardly anything lies so far below the brightest sample. Invalid ones hold 0.
     _, highest = np.frexp(amplitude.max())
     level = np.float32(np.ldexp(1.0, int(highest) - 1 - empty))
-    if count_between(amplitude.ravel(), np.float32(0), level) < REST * np.count_nonzero(amplitude):
+    flat = amplitude.ravel()
+    if count_between(flat, np.float32(0), level) < REST * count_between(flat, np.float32(0), np.float32(math.inf)):
         return None
     exponents = amplitude.view(np.uint32) >> MANTISSA
     counts = np.bincount(exponents.ravel(), minlength=256)[:256].copy()

@@ -23,7 +23,7 @@ def read_only(array: A) -> A:
     """Return `array` itself, locked against writing with all that it is a view of: for arrays that one made oneself."""
     part: Any = array
     while isinstance(part, np.ndarray):
-        part.flags.writeable = False
+        part.setflags(write=False)
         part = part.base
     return array
 
@@ -105,6 +105,9 @@ class ReadOnlyArrays:
         if isinstance(rows, tuple):
             # numpy takes one for an index along each axis.
             rows = list(rows)
+        if isinstance(rows, np.ndarray) and rows.dtype == np.bool_ and len(rows) == len(self):  # type: ignore[arg-type]  # all that have rows have a length
+            # Found once, not anew in every column.
+            rows = np.flatnonzero(rows)
         new = object.__new__(type(self))
         columns = {name: values for name, values in vars(self).items() if isinstance(values, np.ndarray)}
         vars(new).update(vars(self), **{name: read_only(values[rows]) for name, values in columns.items()})

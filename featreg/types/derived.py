@@ -25,6 +25,13 @@ def _named(function: Callable[..., Any]) -> tuple[tuple[str, str], dict[str, Any
     return name, {p.name: p.default for p in parameters if p.default is not p.empty}
 
 
+@lru_cache(maxsize=512)
+def _key(function: Callable[..., Any], *params: tuple[str, Any]) -> Any:
+    """What names a map, and equals that of the same function with the same parameters, in whatever order."""
+    name, known = _named(function)
+    return name, tuple(sorted({**known, **dict(params)}.items()))
+
+
 class DerivedMaps:
     """A bounded store of `function(image, **params)` results, one lock per key.
 
@@ -41,12 +48,12 @@ class DerivedMaps:
         self._bytes = 0
 
     def get(self, image: Any, function: Callable[..., Any], params: Mapping[str, Any]) -> Any:
-        name, known = _named(function)
-        key = (name, tuple(sorted({**known, **params}.items())) if known or params else ())
+        key = _key(function, *params.items())
         with self._lock:
-            if key in self._maps:
+            found = self._maps.get(key)
+            if found is not None:
                 self._maps.move_to_end(key)
-                return self._maps[key][0]
+                return found[0]
             lock = self._locks.setdefault(key, threading.Lock())
         with lock:
             with self._lock:
@@ -66,7 +73,7 @@ class DerivedMaps:
         parts = value if isinstance(value, tuple) else (value,)
         arrays = [array for part in parts for array in _arrays(part)]
         for array in arrays:
-            array.flags.writeable = False
+            array.setflags(write=False)
         with self._lock:
             size = sum(a.nbytes for a in arrays) or sum(getattr(part, "nbytes", 0) for part in parts)
             self._maps[key] = (value, size)
@@ -79,6 +86,8 @@ class DerivedMaps:
 
 def _arrays(part: Any) -> list[np.ndarray[Any, Any]]:
     """What of a result takes memory: itself, the pixels of a derived image, the arrays of a dataclass."""
+    if isinstance(part, np.ndarray):
+        return [part]
     if hasattr(part, "pixels"):
         # A pyramid level, for example; what is derived from it is its own.
         held = [part.pixels]
