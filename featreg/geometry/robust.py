@@ -216,7 +216,9 @@ def _search(
 
 def _narrow(centred: FloatArray) -> float:
     """Standard deviation of (2, M) points along their narrow axis."""
-    return float(math.sqrt(max(np.linalg.eigvalsh(centred @ centred.T / centred.shape[1])[0], 0.0)))
+    (a, b), (_, d) = (centred @ centred.T / centred.shape[1]).tolist()
+    # The smaller eigenvalue of a symmetric (2, 2) matrix.
+    return math.sqrt(max(0.5 * (a + d) - math.hypot(0.5 * (a - d), b), 0.0))
 
 
 def draw_samples(rng: np.random.Generator, count: int, size: int, samples: int) -> IntArray:
@@ -226,13 +228,17 @@ def draw_samples(rng: np.random.Generator, count: int, size: int, samples: int) 
     -------
     (samples, size) int64
     """
-    drawn = rng.integers(0, count - np.arange(size), (samples, size))
-    for i in range(1, size):
+    drawn = rng.integers(0, count - np.arange(size), (samples, size)).T.copy()
+    earlier: list[IntArray] = []  # those of each set, from below
+    for number in drawn:
         # Of the numbers not drawn yet, take the one of this rank: step over each smaller one, from below.
-        earlier = np.sort(drawn[:, :i], axis=1)
-        for j in range(i):
-            drawn[:, i] += drawn[:, i] >= earlier[:, j]
-    return drawn
+        for other in earlier:
+            number += number >= other
+        larger = number
+        for i, other in enumerate(earlier):
+            earlier[i], larger = np.minimum(other, larger), np.maximum(other, larger)
+        earlier.append(larger)
+    return np.ascontiguousarray(drawn.T)
 
 
 def _polish(

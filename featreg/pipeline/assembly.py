@@ -211,7 +211,7 @@ def _budget(n_features: int | None, usual: int) -> int:
 
 def _values(part: Any) -> dict[str, Any]:
     """Every parameter of an object with its value, where it keeps it under its own name."""
-    return {key: getattr(part, key) for key in _names(type(part)) if hasattr(part, key)}
+    return {key: getattr(part, key) for key in _names(type(part)) if hasattr(part, key)}  # type: ignore[arg-type]  # classes can be keys
 
 
 @cache

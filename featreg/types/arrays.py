@@ -71,7 +71,14 @@ def points(values: ArrayLike, what: str) -> FloatArray:
 
 
 def numbers(values: ArrayLike, what: str, dtype: Any = np.float64) -> NDArray[Any]:
-    """Return an array of its own of `values`; an `InputError` where they are no numbers of that kind."""
+    """Return an array of `values` that nobody else writes to; an `InputError` where they are no numbers of that kind.
+
+    What is an array of that kind already, whole, with memory of its own and locked, is returned itself.
+    """
+    if type(values) is np.ndarray and values.base is None and values.dtype == dtype:
+        flags = values.flags
+        if not flags.writeable and flags.c_contiguous:
+            return values
     try:
         return np.array(values, dtype=dtype)
     except (TypeError, ValueError, OverflowError) as error:

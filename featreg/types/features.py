@@ -23,6 +23,7 @@ from featreg.types.arrays import (
     finite,
     kept,
     points,
+    read_only,
 )
 
 if TYPE_CHECKING:
@@ -104,7 +105,9 @@ class Features(ReadOnlyArrays, Shown):
             return cls.empty()
         names = ["xy", "scale", "angle", "score", "level"]
         names += [] if any(part.subpixel is None for part in parts) else ["subpixel"]
-        columns: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+        columns: dict[str, Any] = {
+            name: read_only(np.concatenate([getattr(part, name) for part in parts])) for name in names
+        }
         return cls(**columns)
 
     def __len__(self) -> int:

@@ -112,14 +112,14 @@ class Matches(ReadOnlyArrays, Shown):
                 return None
             a = np.full((len(self), *blank), np.nan) if a is None else a
             b = np.full((len(more), *blank), np.nan) if b is None else b
-            return np.concatenate([a, b])
+            return read_only(np.concatenate([a, b]))
 
         return Matches(
-            np.concatenate([self.reference_xy, more.reference_xy]),
-            np.concatenate([self.secondary_xy, more.secondary_xy]),
-            np.concatenate([self.score, more.score]),
+            read_only(np.concatenate([self.reference_xy, more.reference_xy])),
+            read_only(np.concatenate([self.secondary_xy, more.secondary_xy])),
+            read_only(np.concatenate([self.score, more.score])),
             join("covariance", (2, 2)),
-            np.concatenate([self.origin, more.origin]),
+            read_only(np.concatenate([self.origin, more.origin])),
             join("rotation", ()),
             join("scale_ratio", ()),
         )

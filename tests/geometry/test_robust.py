@@ -497,3 +497,11 @@ def test_filter_conduct(name: str) -> None:
         first, second = (filter_.keep(matches, context(type(model), 5)) for _ in range(2))
         assert first.sum() > 400
         np.testing.assert_array_equal(first, second)
+
+
+def test_samples_are_those_of_numbers_drawn_one_after_the_other() -> None:
+    drawn = draw_samples(np.random.default_rng(2), 7, 4, 500)
+    ranks = np.random.default_rng(2).integers(0, 7 - np.arange(4), (500, 4))
+    for numbers, rank in zip(drawn.tolist(), ranks.tolist(), strict=True):
+        left = list(range(7))
+        assert numbers == [left.pop(r) for r in rank]

@@ -14,7 +14,7 @@ from featreg.geometry import Affine, Homography
 from featreg.interfaces import FailedFit, Model
 from featreg.io import as_image
 from featreg.pipeline.locate import Locate
-from featreg.pipeline.steps import Draft, located
+from featreg.pipeline.steps import SPREAD, Draft, _distinct_rows, located
 from featreg.simulate import SimulatedPair, sar_pair
 from featreg.types import Image, Matches
 
@@ -196,3 +196,17 @@ def test_a_result_keeps_it_in_its_file(pair: SimulatedPair, tmp_path: Path) -> N
         np.testing.assert_array_equal(back.stages[name], mask)
     np.testing.assert_array_equal(back.putative, found.putative)
     assert "located" in found.explain()
+
+
+@pytest.mark.parametrize(
+    ("xy", "rows"),
+    [
+        ([], []),
+        ([(3, 4), (3, 5), (2, 4)], [0, 1, 2]),
+        ([(3, 4), (1, 2), (3, 4), (3, 5), (1, 2)], [0, 1, 3]),
+        ([(1, SPREAD), (2, 0), (1, SPREAD)], [0, 1]),  # of one sum
+        ([(0.0, -0.0), (-0.0, 0.0)], [0]),
+    ],
+)
+def test_the_first_of_equal_points_stands_for_all(xy: list[tuple[float, float]], rows: list[int]) -> None:
+    assert _distinct_rows(np.array(xy, np.float64).reshape(-1, 2)).tolist() == rows

@@ -489,3 +489,22 @@ def test_maps_that_are_true_everywhere_share_memory_that_nobody_writes_to() -> N
     assert all(one.all() and one.flags.c_contiguous and not one.flags.writeable for one in (small, large))
     assert np.shares_memory(everywhere((40, 50)), everywhere((7, 9)))
     assert kept(small) is small
+
+
+def test_columns_are_shared_where_nobody_can_write_to_them_and_copied_elsewhere() -> None:
+    own, free = np.zeros((3, 2)), np.zeros((3, 2))
+    own.setflags(write=False)
+    matches = Matches(own, free, np.zeros(3))
+    assert matches.reference_xy is own
+    free[0, 0] = 9.0
+    assert matches.secondary_xy[0, 0] == 0.0
+    view = free[:]
+    view.setflags(write=False)
+    turned = np.asfortranarray(own)
+    turned.setflags(write=False)
+    for other in (view, turned, own.astype(np.float32)):
+        made = Matches(other, other, np.zeros(3)).reference_xy
+        assert made is not other
+        assert made.dtype == np.float64
+    free[0, 0] = 5.0
+    assert Matches(view, view, np.zeros(3)).reference_xy[0, 0] == 5.0
