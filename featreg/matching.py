@@ -7,6 +7,7 @@ import math
 from collections.abc import Mapping
 from contextlib import nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,7 +33,7 @@ from featreg.runtime.buffers import reusing
 from featreg.runtime.cluster import dask_client
 from featreg.runtime.executors import check_executor
 from featreg.runtime.parameters import check_seed
-from featreg.runtime.threads import limited_threads, worker_count
+from featreg.runtime.threads import limited_threads, side_by_side, worker_count
 from featreg.runtime.timing import collecting, stage
 from featreg.runtime.watching import Canceller, Progress, cancellable, check_watch
 from featreg.sar.bridging import bridged, on_sample
@@ -160,11 +161,20 @@ def match(
     images: list[Image | None] = [None, None]
     # Only whole images that were asked for may be large.
     memory = reusing if size == 0 else nullcontext
+
+    def read(i: int) -> Image | None:
+        return small_image(given[i], most, mask=masks[i], band=bands[i], **reading)
+
+    shared = worker_count(workers if threads is None else threads, default=1)
     with cancellable(cancel), collecting() as seconds, stage("read"), memory():
-        for i in range(0 if size else 2):
-            images[i] = small_image(given[i], most, mask=masks[i], band=bands[i], **reading)
-            if images[i] is None:
-                break
+        if size == 0 and shared > 1:
+            with limited_threads(shared):
+                images = side_by_side([partial(read, 0), partial(read, 1)])
+        else:
+            for i in range(0 if size else 2):
+                images[i] = read(i)
+                if images[i] is None:
+                    break
     first, second = images
     if first is None or second is None:
         if focus is not None:

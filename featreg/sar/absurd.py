@@ -18,6 +18,8 @@ EMPTY_HINT = 2
 FEW, MANY = 1e-4, 1e-3
 #: Share of the positive samples that must lie below an absurd level.
 REST = 0.01
+#: Images of more pixels are judged by so many random samples first.
+LARGE, SAMPLES = 1 << 20, 4096
 # Exponents of float32 amplitudes, bit patterns shifted by the mantissa.
 MANTISSA = 23
 
@@ -57,6 +59,8 @@ def _level_above(amplitude: NDArray[np.float32], mask: BoolArray, empty: int) ->
     """The least amplitude above the highest gap of at least `empty` powers of two between samples, or None."""
     from featreg.sar.sample_kernels import count_between
 
+    if amplitude.size > LARGE and _dense(amplitude, empty):
+        return None
     # The usual case in quick passes: hardly anything lies so far below the brightest sample. Invalid ones hold 0.
     _, highest = np.frexp(amplitude.max())
     level = np.float32(np.ldexp(1.0, int(highest) - 1 - empty))
@@ -74,6 +78,16 @@ def _level_above(amplitude: NDArray[np.float32], mask: BoolArray, empty: int) ->
         return None
     below = amplitude[mask & (exponents <= used[gaps[-1]]) & (exponents > 0)]
     return None if _constant(below) else float(np.ldexp(1.0, int(used[gaps[-1] + 1]) - 127))
+
+
+def _dense(amplitude: NDArray[np.float32], empty: int) -> bool:
+    """Whether random samples and the brightest of all leave no gap of more than `empty` powers of two.
+
+    What lies below them all are too few samples to count: one in a hundred would be among these.
+    """
+    some = amplitude.ravel()[np.random.default_rng(0).integers(0, amplitude.size, SAMPLES)]
+    used = np.unique(np.append(some[some > 0], amplitude.max()).view(np.uint32) >> MANTISSA)
+    return len(used) > 1 and bool((np.diff(used) <= empty).all())
 
 
 def _constant(values: NDArray[np.float32]) -> bool:

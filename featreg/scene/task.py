@@ -233,21 +233,25 @@ def skip_reason(image: Image, role: str) -> str:
     """Why a window holds nothing to match, or an empty text."""
     import cv2
 
-    share = float(image.mask.mean())
+    valid = None if image.all_valid else image.mask.view(np.uint8)
+    share = 1.0 if valid is None else float(image.mask.mean())
     if share < LEAST_VALID:
         return f"no data in the {role}: {100 * share:.0f} % of the window"
     height, width = (n // CELL * CELL for n in image.shape)
     if min(height, width) < 4 * CELL:
         return f"no room in the {role}: {image.shape[1]} x {image.shape[0]} pixels"
     size = (width // CELL, height // CELL)
-    means = cv2.resize(image.amplitude[:height, :width], size, interpolation=cv2.INTER_AREA)
-    # Cells that lie wholly on data; the rim of nodata is no structure.
-    whole = cv2.resize(image.mask[:height, :width].view(np.uint8) * 255, size, interpolation=cv2.INTER_AREA) == 255
-    if whole.sum() < 16:
-        return f"no data in the {role}: no cell of {CELL} x {CELL} pixels is whole"
-    _, deviation = cv2.meanStdDev(image.amplitude, mask=image.mask.view(np.uint8))
-    variance = float(deviation[0, 0]) ** 2
-    if float(means[whole].var()) <= STRUCTURE * variance / CELL**2:
+    means = cv2.resize(image.amplitude[:height, :width], size, interpolation=cv2.INTER_AREA).ravel()
+    if valid is not None:
+        # Cells that lie wholly on data; the rim of nodata is no structure.
+        whole = cv2.resize(valid[:height, :width] * 255, size, interpolation=cv2.INTER_AREA).ravel() == 255
+        if whole.sum() < 16:
+            return f"no data in the {role}: no cell of {CELL} x {CELL} pixels is whole"
+        means = means[whole]
+    # Invalid pixels hold 0, so that the moments of all give those of the valid ones, much sooner than by the mask.
+    mean, deviation = (float(part[0, 0]) for part in cv2.meanStdDev(image.amplitude))
+    variance = (mean**2 + deviation**2) / share - (mean / share) ** 2
+    if float(means.var()) <= STRUCTURE * variance / CELL**2:
         return f"no structure in the {role}: nothing but speckle, as on open water or in shadow"
     return ""
 

@@ -227,7 +227,7 @@ def test_tops_of_surfaces_are_those_of_least_squares_or_the_middle() -> None:
     assert 100 < top.sum() < 450
 
 
-def test_maxima_come_highest_first_and_at_most_so_many(sar_texture: Texture) -> None:
+def test_maxima_come_highest_first_and_at_most_so_many(sar_texture: Texture, monkeypatch: pytest.MonkeyPatch) -> None:
     response, allowed = sar_texture(), np.ones((200, 220), np.bool_)
     allowed[:, :50] = False
     every = local_maxima(response, allowed, 0.0, 10**6)
@@ -235,6 +235,12 @@ def test_maxima_come_highest_first_and_at_most_so_many(sar_texture: Texture) -> 
     assert (np.diff(values) <= 0).all()
     assert every[:, 0].min() >= 50
     np.testing.assert_array_equal(local_maxima(response, allowed, 0.0, 100), every[:100])
+    # Large maps are looked at in bands first; where these hold too few maxima, or too low ones, it is for nothing.
+    monkeypatch.setattr("featreg.sar.keypoints.maxima.LARGE", 1000)
+    for count in (1, 30, 100, 1000, 10**6):
+        np.testing.assert_array_equal(local_maxima(response, allowed, 0.0, count), every[:count])
+    sloping = response * np.linspace(0, 1, 200, dtype=np.float32)[:, None] ** 8
+    assert len(local_maxima(sloping, allowed, 0.0, 100)) == 100
     for x, y in every[:50]:
         assert response[y, x] == response[y - 1 : y + 2, x - 1 : x + 2].max()
     assert len(local_maxima(response, allowed, 1e9, 5)) == 0

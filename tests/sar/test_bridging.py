@@ -88,6 +88,13 @@ def test_no_tie_point_lies_on_a_filled_sample() -> None:
     np.testing.assert_array_equal(on_samples(both, featreg.as_image(speckle()), seen).reference_xy, xy[1:])
 
 
+@pytest.fixture(params=["small", "large"])
+def looked_at(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As small images are, and as large ones."""
+    monkeypatch.setattr("featreg.sar.absurd.LARGE", {"small": 1 << 20, "large": 0}[request.param])
+
+
+@pytest.mark.usefixtures("looked_at")
 def test_single_absurd_samples_do_not_count_but_stay_in_the_image() -> None:
     samples = speckle()
     samples[40, 50] = 1e8
@@ -99,6 +106,7 @@ def test_single_absurd_samples_do_not_count_but_stay_in_the_image() -> None:
     assert image.amplitude[40, 50] == np.float32(1e8)
 
 
+@pytest.mark.usefixtures("looked_at")
 @pytest.mark.parametrize("value", [1e20, 3.4e38])
 def test_an_absurd_fill_is_a_hole(value: float) -> None:
     samples = speckle()
@@ -108,6 +116,7 @@ def test_an_absurd_fill_is_a_hole(value: float) -> None:
     assert seen.mask[:, 40:].all()
 
 
+@pytest.mark.usefixtures("looked_at")
 def test_scenes_of_any_range_hold_no_absurd_sample() -> None:
     rng = np.random.default_rng(3)
     x, y = np.meshgrid(*(np.arange(n) - n // 2 for n in SHAPE[::-1]))
@@ -122,6 +131,7 @@ def test_scenes_of_any_range_hold_no_absurd_sample() -> None:
         assert absurd_samples(featreg.as_image(samples)) is None
 
 
+@pytest.mark.usefixtures("looked_at")
 def test_what_looks_like_a_fill_is_named() -> None:
     samples = speckle()
     assert fill_hint(featreg.as_image(samples), "reference") == ""

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 from featreg.types import BoolArray, FloatArray, IntArray
 
 F32 = NDArray[np.float32]
+
+#: Maps of more pixels are looked at in so many bands of so many rows first; the floor that they give lets through so
+#: many times the maxima that are wanted.
+LARGE, BANDS, BAND, MARGIN = 1 << 20, 24, 8, 2.0
 
 
 def local_maxima(response: F32, allowed: BoolArray, threshold: float, n_features: int) -> IntArray:
@@ -24,10 +30,12 @@ def local_maxima(response: F32, allowed: BoolArray, threshold: float, n_features
     -----
     A pixel counts where it is the highest of its 3 x 3 neighbourhood; of equal ones the first in reading order does.
     """
-    from featreg.sar.keypoints import harris_kernels
-
-    room = np.empty(response.size // 4 + 1, np.int64)
-    flat = room[: harris_kernels.collect_peaks(response, allowed.view(np.uint8), np.float32(threshold), room)]
+    flat = np.zeros(0, np.int64)
+    floor = _floor(response, allowed, threshold, n_features)
+    if floor > threshold:
+        flat = _peaks(response, allowed, floor)
+    if len(flat) < n_features:
+        flat = _peaks(response, allowed, threshold)
     value = -response.ravel()[flat]
     if len(flat) > n_features:
         near = value <= np.partition(value, n_features - 1)[n_features - 1]
@@ -35,6 +43,30 @@ def local_maxima(response: F32, allowed: BoolArray, threshold: float, n_features
     flat = flat[np.argsort(value, kind="stable")][:n_features]
     y, x = np.divmod(flat, response.shape[1])
     return np.column_stack([x, y]).astype(np.int64)
+
+
+def _peaks(response: F32, allowed: BoolArray, threshold: float) -> IntArray:
+    """The flat indices, in reading order, of all local maxima above a threshold."""
+    from featreg.sar.keypoints import harris_kernels
+
+    room = np.empty(response.size // 4 + 1, np.int64)
+    return room[: harris_kernels.collect_peaks(response, allowed.view(np.uint8), np.float32(threshold), room)]
+
+
+def _floor(response: F32, allowed: BoolArray, threshold: float, n_features: int) -> float:
+    """A value that the `n_features` highest maxima of a large map exceed by what bands of its rows say.
+
+    The threshold where they say nothing. Of a map of millions of pixels nearly all maxima are too low to be wanted.
+    """
+    height = len(response)
+    starts = np.linspace(0, height - BAND, BANDS).astype(int) if response.size > LARGE and height > BAND else ()
+    values = [np.zeros(0, np.float32)]
+    for y in starts:
+        band = response[y : y + BAND]
+        values.append(band.ravel()[_peaks(band, allowed[y : y + BAND], threshold)])
+    seen = np.concatenate(values)
+    rank = math.ceil(MARGIN * n_features * len(starts) * (BAND - 2) / height)
+    return float(np.partition(seen, len(seen) - rank)[len(seen) - rank]) if 0 < rank < len(seen) else threshold
 
 
 def quadratic_peak(response: F32, at: IntArray) -> FloatArray:
