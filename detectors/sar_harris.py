@@ -117,6 +117,15 @@ class SarHarris(Detector):
         return self if self._plenty(reference) == self._plenty(secondary) else replace(self, thin=False)
 
     def detect_features(self, image: Image) -> Features:
+        return self.oriented(image, self.detect_places(image))
+
+    def detect_places(self, image: Image) -> Features:
+        if self.second < 1:
+            # How many keypoints there are at a place is known with their directions only.
+            return self._with_further(image, self._places(image))
+        return self._best(self._places(image))
+
+    def _places(self, image: Image) -> Features:
         step = 2 if self.thin and self._plenty(image) else 1
         layers = [self._layer(image, number) for number in range(0, self.scales, step)]
         counts = share_out(self.n_features, [len(layer.maxima) for layer in layers], self.quota_decay**step)
@@ -126,15 +135,30 @@ class SarHarris(Detector):
             xy = to_base(quadratic_peak(layer.response, at), layer.level, image)
             alpha = layer.alpha * self.factor ** (step * self._sub_scale(image, layers, k, xy))
             score = layer.response[at[:, 1], at[:, 0]].astype(np.float64)
-            field, places, radius = self._gradients(image, layer.alpha, xy)
-            angle = dominant_orientation(field, places, radius)
-            points = Features(xy, self.support * alpha, angle, score, np.full(len(at), layer.number))
-            parts.append(points)
-            if self.second < 1:
-                rows, others = further_orientations(field, places, radius, self.second)
-                parts.append(replace(points.take(rows), angle=others))
-        everything = Features.concatenate(parts)
-        return everything.take(np.argsort(-everything.score, kind="stable")[: self.n_features])
+            parts.append(Features(xy, self.support * alpha, 0.0, score, np.full(len(at), layer.number)))
+        return Features.concatenate(parts)
+
+    def _best(self, features: Features) -> Features:
+        return features.take(np.argsort(-features.score, kind="stable")[: self.n_features])
+
+    def oriented(self, image: Image, features: Features) -> Features:
+        if self.second < 1:
+            return features
+        angle = np.empty(len(features))
+        for number in np.unique(features.level):
+            rows = np.flatnonzero(features.level == number)
+            angle[rows] = dominant_orientation(*self._gradients(image, int(number), features.xy[rows]))
+        return replace(features, angle=angle)
+
+    def _with_further(self, image: Image, features: Features) -> Features:
+        parts = []
+        for number in np.unique(features.level):
+            points = features.take(np.flatnonzero(features.level == number))
+            around = self._gradients(image, int(number), points.xy)
+            parts.append(replace(points, angle=dominant_orientation(*around)))
+            rows, others = further_orientations(*around, self.second)
+            parts.append(replace(points.take(rows), angle=others))
+        return self._best(Features.concatenate(parts))
 
     def _plenty(self, image: Image) -> bool:
         return bool(np.count_nonzero(image.mask) >= PLENTY * self.n_features)
@@ -159,8 +183,8 @@ class SarHarris(Detector):
         near = [interpolated(layer.response, from_base(xy, layer.level, image)) for layer in layers[k - 1 : k + 2]]
         return parabola_peak(*near)
 
-    def _gradients(self, image: Image, alpha: float, xy: FloatArray) -> tuple[GradientField, FloatArray, FloatArray]:
+    def _gradients(self, image: Image, number: int, xy: FloatArray) -> tuple[GradientField, FloatArray, FloatArray]:
         """The gradients that give points (N, 2) of a scale their direction, their places in them, and (N,) radii."""
-        level, local = octave(image, max(alpha, self.finest), COARSEST_GRID)
+        level, local = octave(image, max(self.alpha * self.factor**number, self.finest), COARSEST_GRID)
         radius = np.full(len(xy), 0.5 * self.support * local)
         return ratio_field(level, local, self.floor), from_base(xy, level, image), radius

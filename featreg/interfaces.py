@@ -50,6 +50,17 @@ class Detector(Plugin):
         returned at once; the descriptor stage is then skipped.
         """
 
+    def detect_places(self, image: Image) -> Features:
+        """As `detect_features`, for callers who ask for the angles of those that they need, by `oriented`.
+
+        Whoever takes time over angles leaves them out here.
+        """
+        return self.detect_features(image)
+
+    def oriented(self, image: Image, features: Features) -> Features:
+        """Return some of the features of `detect_places` of an image with the angles that `detect_features` gives."""
+        return features
+
     def for_pair(self, reference: Image, secondary: Image) -> Self:
         """Return the detector that finds keypoints alike in two images that are matched: itself, unless sizes decide.
 

@@ -239,7 +239,7 @@ PRESETS: dict[str, Preset] = {
     "sar-sift": Preset(
         "SAR-Harris corners of ratio gradients, ratio GLOH descriptors in one common direction, GMS, FSC",
         detector=Part("sar-harris"),
-        descriptor=Part("ratio-gloh"),
+        descriptor=Part("ratio-daisy"),
         nearest=Part("brute-force"),
     ),
     "sar-sift-paper": Preset(
@@ -257,7 +257,7 @@ PRESETS: dict[str, Preset] = {
     "s-gof": Preset(
         "SAR-Harris corners, odd-Gabor ratio descriptors of one scale in one common direction, GMS, FSC",
         detector=Part("sar-harris"),
-        descriptor=Part("gabor-odd"),
+        descriptor=Part("gabor-daisy"),
         nearest=Part("brute-force"),
     ),
     "s-gof-paper": Preset(
@@ -273,7 +273,7 @@ PRESETS: dict[str, Preset] = {
     "m-gof": Preset(
         "SAR-Harris corners, odd-Gabor ratio descriptors of four scales in one common direction, GMS, FSC",
         detector=Part("sar-harris"),
-        descriptor=Part("gabor-odd", _MULTI_SCALE),
+        descriptor=Part("gabor-daisy", _MULTI_SCALE),
         nearest=Part("brute-force"),
     ),
     "m-gof-paper": Preset(

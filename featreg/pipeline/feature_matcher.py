@@ -99,9 +99,14 @@ class FeatureMatcher(Matcher):
             found = self._each(self._detect, [(detector, reference), (detector, secondary)])
         if not len(found[0]) or not len(found[1]):
             return Matches.empty()
-        rotation = self._vote(reference, secondary, *found)
-        if rotation is not None:
-            found = [replace(f, angle=np.full(len(f), turn)) for f, turn in zip(found, (0.0, rotation), strict=True)]
+        images = (reference, secondary)
+        rotation = self._vote(detector, images, found)
+        with stage("detect"):
+            if rotation is None:
+                found = self._each(detector.oriented, list(zip(images, found, strict=True)))
+            else:
+                turns = (0.0, rotation)
+                found = [replace(f, angle=np.full(len(f), turn)) for f, turn in zip(found, turns, strict=True)]
         with stage("describe"):
             a, b = self._each(self._describe, [(reference, found[0]), (secondary, found[1])])
         with stage("match"):
@@ -117,7 +122,7 @@ class FeatureMatcher(Matcher):
 
     def _detect(self, detector: Detector, image: Image) -> Features:
         with keeping():
-            return detector.detect_features(image).best(self.n_features)
+            return detector.detect_places(image).best(self.n_features)
 
     def _describe(self, image: Image, features: Features) -> Features:
         # A descriptor that was asked for describes, whatever the detector may have returned.
@@ -133,14 +138,17 @@ class FeatureMatcher(Matcher):
         work = [partial(function, *arguments) for arguments in given]
         return side_by_side(work) if all(part.compiled for part in self.parts) else [one() for one in work]
 
-    def _vote(self, reference: Image, secondary: Image, a: Features, b: Features) -> float | None:
-        described = self.descriptor is None and not (a.descriptors is None and b.descriptors is None)
+    def _vote(self, detector: Detector, images: tuple[Image, Image], found: list[Features]) -> float | None:
+        described = self.descriptor is None and any(features.descriptors is not None for features in found)
         if not self.common_rotation or described:
             return None
-        if (a.angle == a.angle[0]).all() or (b.angle == b.angle[0]).all():
+        with stage("detect"):
+            voters = [(image, f.best(VOTERS)) for image, f in zip(images, found, strict=True)]
+            voters = list(zip(images, self._each(detector.oriented, voters), strict=True))
+        if any((features.angle == features.angle[0]).all() for _, features in voters):
             return None
         with stage("describe"):
-            first, second = self._each(self._describe, [(reference, a.best(VOTERS)), (secondary, b.best(VOTERS))])
+            first, second = self._each(self._describe, voters)
         with stage("rotation"):
             pairs, _ = self.nearest.match_features(first, second)
             return common_rotation(second.angle[pairs[:, 1]] - first.angle[pairs[:, 0]])

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from featreg.runtime.buffers import keeping, scratch
 from featreg.sar.gradients.fourier import fast_length, inverse_transform, transform
-from featreg.sar.gradients.gradient_field import clear_of_nodata
+from featreg.sar.gradients.gradient_field import GradientField, clear_of_nodata
 from featreg.sar.speckle import filled_amplitude, mean_amplitude
 from featreg.types import Image
 
@@ -66,39 +66,56 @@ def gabor_gradients(
     g = 2 / n * sum of r(theta) (cos theta, sin theta), which is exact for a straight edge seen as a cosine. Borders are
     reflected.
     """
+    (field,) = gabor_fields(image, (sigma,), (2 if sparse else 1,), 1, orientations, floor)
+    return field.x, field.y
+
+
+def gabor_fields(
+    image: Image, sigmas: tuple[float, ...], spacings: tuple[int, ...], grid: int, orientations: int, floor: float
+) -> tuple[GradientField, ...]:
+    """Return `gabor_gradients` of several standard deviations in every `grid`-th row and column, from the first on.
+
+    `spacings` is for each of them how far apart gradients are computed: `grid`, or twice that, with those in between
+    interpolated linearly. The components are (ceil(H / grid), ceil(W / grid)). The image is transformed once for all.
+    """
     return image.derive(
-        _gabor_gradients, sigma=float(sigma), orientations=int(orientations), floor=float(floor), sparse=bool(sparse)
-    )
+        _gabor_fields, sigmas=tuple(map(float, sigmas)), spacings=spacings, grid=grid, orientations=int(orientations),
+        floor=float(floor),
+    )  # fmt: skip
 
 
-def _gabor_gradients(image: Image, sigma: float, orientations: int, floor: float, sparse: bool) -> tuple[F32, F32]:
+def _gabor_fields(
+    image: Image, sigmas: tuple[float, ...], spacings: tuple[int, ...], grid: int, orientations: int, floor: float
+) -> tuple[GradientField, ...]:
     import cv2
 
     from featreg.sar.gradients import gabor_kernels
 
-    spacing = 2 if sparse else 1
     small, gain = np.float32(max(floor, 1e-30)), np.float32(1 / max(mean_amplitude(image), 1e-30))
-    margin = _reach(sigma)
-    # One sample more than there are pairs of pixels, so that the last pixel too lies between two.
-    beyond = margin + spacing - 1
+    margin, widest = _reach(max(sigmas)), max(spacings)
+    # One sample more than there are pairs, so that the last pixel too lies between two.
+    beyond = margin + widest
     padded = cv2.copyMakeBorder(filled_amplitude(image), margin, beyond, margin, beyond, cv2.BORDER_REFLECT_101)
     wide = np.multiply(padded, gain, out=padded, dtype=np.float32)
-    gx, gy = np.zeros((2, *(side if spacing == 1 else side // 2 + 1 for side in image.shape)), np.float32)
+    fine = [-(-side // grid) for side in image.shape]
+    shapes = [fine if spacing == grid else [side // 2 + 1 for side in fine] for spacing in spacings]
+    coarse = shapes[spacings.index(widest)]
+    samples = [np.zeros((2, *shape), np.float32) for shape in shapes]
     with keeping():
-        for rows, columns in product(*(_pieces(side, PIECE // spacing) for side in gx.shape)):
-            outer = tuple(slice(spacing * s.start, spacing * (s.stop - 1) + 1 + 2 * margin) for s in (rows, columns))
-            place = rows.start, columns.start, rows.stop - rows.start, columns.stop - columns.start
-            _piece(wide[outer], margin, sigma, orientations, small, spacing, place, gx, gy)
-    if sparse:
-        between = np.empty((2, *image.shape), np.float32)
-        for samples, component in zip((gx, gy), between, strict=True):
-            gabor_kernels.interpolate(samples, component)
-        gx, gy = between
-    if not image.all_valid:
-        near = ~clear_of_nodata(image, BLIND * sigma)
-        gx[near] = 0
-        gy[near] = 0
-    return gx, gy
+        for rows, columns in product(*(_pieces(side, PIECE // widest) for side in coarse)):
+            outer = tuple(slice(widest * s.start, widest * s.stop + 2 * margin) for s in (rows, columns))
+            _piece(wide[outer], margin, (rows, columns), sigmas, spacings, orientations, small, samples)
+    found = []
+    for sigma, spacing, field in zip(sigmas, spacings, samples, strict=True):
+        components = field
+        if spacing != grid:
+            components = np.empty((2, *fine), np.float32)
+            for one, component in zip(field, components, strict=True):
+                gabor_kernels.interpolate(one, component)
+        if not image.all_valid:
+            components[:, ~clear_of_nodata(image, BLIND * sigma)[::grid, ::grid]] = 0
+        found.append(GradientField(*components))
+    return tuple(found)
 
 
 def _pieces(length: int, most: int) -> list[slice]:
@@ -109,35 +126,41 @@ def _pieces(length: int, most: int) -> list[slice]:
 
 
 def _piece(
-    amplitude: F32, margin: int, sigma: float, orientations: int, small: np.float32, spacing: int,
-    place: tuple[int, int, int, int], gx: F32, gy: F32,
+    amplitude: F32, margin: int, at: tuple[slice, ...], sigmas: tuple[float, ...], spacings: tuple[int, ...],
+    orientations: int, small: np.float32, fields: list[F32],
 ) -> None:  # fmt: skip
     """Add the gradients of one piece of the image, of which `amplitude` has `margin` pixels more on all sides.
 
-    `place` is the first row and column of the piece in `gx` and `gy`, and how many there are.
+    `at` is where its rows and columns stand in the fields (2, H, W) of the widest spacing.
     """
     from featreg.sar.gradients import gabor_kernels
 
-    # The first sample is to lie at an even place of a spectrum that will be folded.
-    first = -(-margin // spacing)
-    top = left = spacing * first - margin
-    height, width = (fast_length(side + top) for side in amplitude.shape)
+    # The first sample is to lie at a place of the spectrum that stays when it is folded.
+    widest = max(spacings)
+    first = -(-margin // widest) * widest
+    height, width = (fast_length(side + first - margin) for side in amplitude.shape)
     # A real transform would give half of the spectrum, and filling in the other half takes longer than computing it.
     # New memory costs as much as a transform, so all directions and pieces use the same.
     spectrum = _complex("spectrum", height, width)
-    gabor_kernels.embedded(amplitude, top, left, spectrum)
+    gabor_kernels.embedded(amplitude, first - margin, first - margin, spectrum)
     transform(spectrum)
-    means = _complex("means", height // spacing, width // spacing)
     bank = _filters if 4 * orientations * height * width <= KEPT else half_filters
-    for n, transfer in enumerate(bank(height, width, sigma, orientations)):
-        theta = math.pi * n / orientations
-        x, y = (np.float32(2 / orientations * f(theta)) for f in (math.cos, math.sin))
-        if spacing == 1:
-            np.multiply(spectrum, transfer, out=means)
-        else:
-            gabor_kernels.filter_folded(spectrum, transfer, means)
-        inverse_transform(means)
-        gabor_kernels.add_ratios(means, first, *place, small, x, y, gx, gy)
+    for sigma, spacing, (gx, gy) in zip(sigmas, spacings, fields, strict=True):
+        means = _complex("means", height // spacing, width // spacing)
+        ratio = widest // spacing
+        top, left = (ratio * part.start for part in at)
+        bottom, right = (min(ratio * part.stop, side) for part, side in zip(at, gx.shape, strict=True))
+        for n, transfer in enumerate(bank(height, width, sigma, orientations)):
+            theta = math.pi * n / orientations
+            x, y = (np.float32(2 / orientations * f(theta)) for f in (math.cos, math.sin))
+            if spacing == 1:
+                np.multiply(spectrum, transfer, out=means)
+            else:
+                gabor_kernels.filter_folded(spectrum, transfer, means)
+            inverse_transform(means)
+            gabor_kernels.add_ratios(
+                means, first // spacing, top, left, bottom - top, right - left, small, x, y, gx, gy
+            )  # fmt: skip
 
 
 def _complex(name: str, height: int, width: int) -> NDArray[np.complex64]:

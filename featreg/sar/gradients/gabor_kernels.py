@@ -94,16 +94,19 @@ def _add_filtered(spectrum: C64, transfer: F32, out: C64) -> None:
 
 @compiled
 def filter_folded(spectrum: C64, transfer: F32, out: C64) -> None:
-    """Multiply a spectrum (H, W) by a real transfer function and fold it to (H / 2, W / 2).
+    """Multiply a spectrum (H, W) by a real transfer function and fold it to (H / n, W / n).
 
-    The inverse transform of that, as of the whole without division by the size, is every other sample of both axes.
+    The inverse transform of that, as of the whole without division by the size, is every n-th sample of both axes.
     """
     height, width = out.shape
     for row in range(height):
-        _filter(spectrum[row, :width], transfer[row, :width], out[row])
-        _add_filtered(spectrum[row, width:], transfer[row, width:], out[row])
-        _add_filtered(spectrum[row + height, :width], transfer[row + height, :width], out[row])
-        _add_filtered(spectrum[row + height, width:], transfer[row + height, width:], out[row])
+        for below in range(row, spectrum.shape[0], height):
+            for left in range(0, spectrum.shape[1], width):
+                part, factor = spectrum[below, left : left + width], transfer[below, left : left + width]
+                if below == row and left == 0:
+                    _filter(part, factor, out[row])
+                else:
+                    _add_filtered(part, factor, out[row])
 
 
 @compiled

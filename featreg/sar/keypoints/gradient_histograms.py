@@ -67,7 +67,7 @@ def dominant_orientation(field: GradientField, xy: FloatArray, radius: FloatArra
     xy, radius = (np.ascontiguousarray(values, np.float64) for values in (xy, radius))
     pattern, angle = _disc(step), np.empty(len(xy))
     direction_kernels.directions(
-        gx, gy, width, height, _along_rows(xy, width), xy, radius, pattern.samples, pattern.weight, ORIENTATIONS, angle
+        gx, gy, width, height, along_rows(xy, width), xy, radius, pattern.samples, pattern.weight, ORIENTATIONS, angle
     )
     return angle
 
@@ -150,16 +150,15 @@ def normalised(rows: F32, root: bool = False) -> F32:
             total = rows.sum(axis=1, keepdims=True)
             return np.asarray(np.sqrt(rows / np.where(total > 0, total, 1)), np.float32)
         return _unit(np.minimum(_unit(rows), np.float32(CLIP)))
-    cells = rows.reshape(len(rows), rows.shape[1] // CELLS, CELLS)
     if root:
         unit = _unit(rows)
         length = unit[:, :CELLS]
-        return _unit(unit * np.tile(1 / np.sqrt(np.where(length > 0, length, 1)), cells.shape[1]))
+        return _unit(unit * np.tile(1 / np.sqrt(np.where(length > 0, length, 1)), rows.shape[1] // CELLS))
     from featreg.sar.keypoints import unit_kernels
 
-    out = np.empty_like(cells)
-    unit_kernels.unit_cells(cells, np.float32(CELL_CLIP), out)
-    return out.reshape(rows.shape)
+    out = np.empty(rows.shape, np.float32)
+    unit_kernels.unit_cells(np.ascontiguousarray(rows), CELLS, np.float32(CELL_CLIP), out)
+    return out
 
 
 def described(image: Image, features: Features, descriptors: F32) -> Features:
@@ -226,16 +225,21 @@ def _harmonics(
     out = np.empty((len(xy), 1 + 2 * count, pattern.shares.shape[1]), np.float32)
     xy, radius, angle = (np.ascontiguousarray(values, np.float64) for values in (xy, radius, angle))
     cell, share = pattern.nearest
-    order = _along_rows(xy, width)
+    order = along_rows(xy, width)
     histogram_kernels.harmonics(gx, gy, width, height, order, xy, radius, angle, pattern.samples, cell, share, out)
-    k = np.arange(count + 1)
-    weight = np.sinc(k / DIRECTIONS) ** 2 * np.sqrt(np.where(k > 0, 2, 1) / DIRECTIONS)
-    out *= np.repeat(weight, 2)[1:, None].astype(np.float32)
+    out *= harmonic_weights(count)[:, None]
     return out.reshape(len(xy), out.shape[1] * out.shape[2])
 
 
-def _along_rows(xy: FloatArray, width: int) -> I64:
-    """The order of points (N, 2) along the rows of a field, so that neighbours read what is in the cache."""
+def harmonic_weights(count: int) -> F32:
+    """Return (1 + 2 * count,) what length, cosine and sine of each harmonic are multiplied by; see `gloh`."""
+    k = np.arange(count + 1)
+    weight = np.sinc(k / DIRECTIONS) ** 2 * np.sqrt(np.where(k > 0, 2, 1) / DIRECTIONS)
+    return np.repeat(weight, 2)[1:].astype(np.float32)
+
+
+def along_rows(xy: FloatArray, width: int) -> I64:
+    """Return the order of points (N, 2) along the rows of a field, so that neighbours read what is in the cache."""
     return np.argsort(np.floor(xy[:, 1] / BAND) * width + xy[:, 0], kind="stable")
 
 
