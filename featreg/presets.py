@@ -241,6 +241,7 @@ PRESETS: dict[str, Preset] = {
         detector=Part("sar-harris"),
         descriptor=Part("ratio-daisy"),
         nearest=Part("brute-force"),
+        pixels_per_feature=_PIXELS,
     ),
     "sar-sift-paper": Preset(
         "SAR-Harris and ratio descriptors as in Dellinger et al. 2015, ratio test, RANSAC",
@@ -259,6 +260,7 @@ PRESETS: dict[str, Preset] = {
         detector=Part("sar-harris"),
         descriptor=Part("gabor-daisy"),
         nearest=Part("brute-force"),
+        pixels_per_feature=_PIXELS,
     ),
     "s-gof-paper": Preset(
         "SIFT keypoints, all of them, odd-Gabor ratio descriptors of one scale, after Paul and Pati 2019, RANSAC",
@@ -275,6 +277,7 @@ PRESETS: dict[str, Preset] = {
         detector=Part("sar-harris"),
         descriptor=Part("gabor-daisy", _MULTI_SCALE),
         nearest=Part("brute-force"),
+        pixels_per_feature=_PIXELS,
     ),
     "m-gof-paper": Preset(
         "SIFT keypoints, all of them, odd-Gabor ratio descriptors of four scales, after Paul and Pati 2019, RANSAC",

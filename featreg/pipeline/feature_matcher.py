@@ -15,7 +15,7 @@ from featreg.interfaces import Descriptor, Detector, Matcher, Nearest, Plugin
 from featreg.runtime.buffers import keeping
 from featreg.runtime.threads import side_by_side
 from featreg.runtime.timing import stage
-from featreg.sar.pyramid import reduced, to_base
+from featreg.sar.pyramid import pyramid, to_base
 from featreg.types import Features, FloatArray, Image, IntArray, Matches
 
 # The vote on a common rotation: how many features take part, the width of a bin, and how far (in standard
@@ -76,14 +76,14 @@ class FeatureMatcher(Matcher):
         if share == 1:
             return self._matched(reference, secondary)
         with stage("detect"):
-            one, two = (reduced(image, share) for image in (reference, secondary))
+            one, two = (_reduced(image, share) for image in (reference, secondary))
         found = self._matched(one, two)
         first, second = to_base(found.reference_xy, one, reference), to_base(found.secondary_xy, two, secondary)
         return replace(found, reference_xy=first, secondary_xy=second)
 
     def keypoints(self, image: Image) -> FloatArray:
         """(N, 2) keypoints in an image that is compared with one of its size, at most `n_features`."""
-        seen = reduced(image, self._share(image))
+        seen = _reduced(image, self._share(image))
         return to_base(self.detector.detect_features(seen).best(self.n_features).xy, seen, image)
 
     def _share(self, *images: Image) -> float:
@@ -152,6 +152,11 @@ class FeatureMatcher(Matcher):
         with stage("rotation"):
             pairs, _ = self.nearest.match_features(first, second)
             return common_rotation(second.angle[pairs[:, 1]] - first.angle[pairs[:, 0]])
+
+
+def _reduced(image: Image, share: float) -> Image:
+    """The image at a share of its sides, as a pyramid makes it; averages over areas match no better and take longer."""
+    return image if share == 1 else pyramid(image, 2, 1 / share)[-1]
 
 
 def common_rotation(differences: FloatArray) -> float | None:

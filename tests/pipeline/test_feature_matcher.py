@@ -210,7 +210,7 @@ def test_reduced_images_give_positions_in_pixels_of_the_images(turned_pair: Simu
     found = found.take(correct(found, turned_pair.truth))
     assert len(found) > 100
     mapped = found.reference_xy @ turned_pair.truth[:, :2].T + turned_pair.truth[:, 2]
-    assert np.abs(np.mean(mapped - found.secondary_xy, axis=0)).max() < 0.1
+    assert np.abs(np.mean(mapped - found.secondary_xy, axis=0)).max() < 0.25
 
 
 def test_a_few_features_of_rift_match_more_often_in_a_reduced_image(turned_pair: SimulatedPair) -> None:

@@ -31,7 +31,7 @@ REACH = 1.5
 # Differences, in units of the tone, from which on the fast cascade gives no weight.
 VANISHING = 4.0
 # Differences of neighbouring pixels from which the noise is taken, about.
-SAMPLE = 20_000
+SAMPLE = 8_000
 
 
 @dataclass(frozen=True)
