@@ -70,13 +70,23 @@ def _on_row(nodes: FloatArray, apart: int, i: int, count: int, at: FloatArray) -
 
 
 @compiled
-def _all_clear(tiles: U8, u: float, v: float, far_u: float, far_v: float) -> bool:
-    """Whether the tiles of the box between two points are all clear."""
-    left, right = int(min(u, far_u) + 0.5) // TILE, int(max(u, far_u) + 0.5) // TILE
-    top, bottom = int(min(v, far_v) + 0.5) // TILE, int(max(v, far_v) + 0.5) // TILE
-    for y in range(top, bottom + 1):
-        for x in range(left, right + 1):
+def _all_clear(tiles: U8, u: float, v: float, far_u: float, far_v: float, reach: int) -> bool:
+    """Whether the tiles of the box between two points, and of so many px around it, are all clear."""
+    left, right = int(min(u, far_u) + 0.5) - reach, int(max(u, far_u) + 0.5) + reach
+    top, bottom = int(min(v, far_v) + 0.5) - reach, int(max(v, far_v) + 0.5) + reach
+    for y in range(max(top, 0) // TILE, min(bottom // TILE + 1, tiles.shape[0])):
+        for x in range(max(left, 0) // TILE, min(right // TILE + 1, tiles.shape[1])):
             if tiles[y, x] == 0:
+                return False
+    return True
+
+
+@compiled
+def _square_clear(mask: U8, u: int, v: int, reach: int) -> bool:
+    """Whether all pixels of a mask count that lie up to `reach` px from a pixel along x and y, within the image."""
+    for y in range(max(v - reach, 0), min(v + reach + 1, mask.shape[0])):
+        for x in range(max(u - reach, 0), min(u + reach + 1, mask.shape[1])):
+            if mask[y, x] == 0:
                 return False
     return True
 
@@ -84,7 +94,7 @@ def _all_clear(tiles: U8, u: float, v: float, far_u: float, far_v: float) -> boo
 @compiled
 def sampled(
     view: F32, tall: int, wide: int, scale: float, offset: float, nodes: FloatArray, apart: int, step: int,
-    first_mask: U8, second_mask: U8, shape: I64, out: F32, valid: BoolArray,
+    first_mask: U8, second_mask: U8, reach: int, shape: I64, out: F32, valid: BoolArray,
 ) -> None:  # fmt: skip
     """Sample a view of the secondary at squares of the reference, and say which of these both images hold.
 
@@ -96,7 +106,8 @@ def sampled(
         more; between them it is taken as bilinear
     apart, step : as said, and the side of a square, px
     first_mask : (H, W) pixels of the reference that are valid, 0 or 1; of no size where all are
-    second_mask : of the secondary, where all is valid that a square around the pixel shows; of no size where all is
+    second_mask : the same of the secondary
+    reach : a pixel of the secondary counts where all are valid up to so many px from it along x and y
     shape : (H, W) of the secondary
     out : (h, w) filled with the view at the middle of each square, bilinearly, its rim going on beyond it; 0 where not
         valid
@@ -128,11 +139,11 @@ def sampled(
                     first += 1
                 while first <= last and not valid[i, last]:
                     last -= 1
-                if first > last or _all_clear(tiles, at[0, first], at[1, first], at[0, last], at[1, last]):
+                if first > last or _all_clear(tiles, at[0, first], at[1, first], at[0, last], at[1, last], reach):
                     continue
                 for j in range(first, last + 1):
                     if valid[i, j]:
-                        valid[i, j] = second_mask[int(at[1, j] + 0.5), int(at[0, j] + 0.5)] != 0
+                        valid[i, j] = _square_clear(second_mask, int(at[0, j] + 0.5), int(at[1, j] + 0.5), reach)
         for j in range(count):
             across = min(max(np.float32(at[0, j] * scale + offset), none), right)
             down = min(max(np.float32(at[1, j] * scale + offset), none), bottom)
@@ -309,11 +320,19 @@ def likenesses(a: F32, b: F32, half: int, around: int, stride: int, local: F32, 
         while wide_low < y - around:
             _add_row(a, b, wide_low, -1.0, narrow, wide, 1)
             wide_low += 1
-        for x in range(width):
-            for k in range(3):
-                ends[k, x + 1] = ends[k, x] + narrow[k, x]
-            for k in range(4):
-                ends[3 + k, x + 1] = ends[3 + k, x] + wide[k, x]
+        # Seven sums side by side: each by itself would wait for its last addition.
+        s0 = s1 = s2 = s3 = s4 = s5 = s6 = 0.0
+        for x in range(np.uint64(width)):
+            s0 += narrow[0, x]
+            s1 += narrow[1, x]
+            s2 += narrow[2, x]
+            s3 += wide[0, x]
+            s4 += wide[1, x]
+            s5 += wide[2, x]
+            s6 += wide[3, x]
+            y1 = x + np.uint64(1)
+            ends[0, y1], ends[1, y1], ends[2, y1], ends[3, y1] = s0, s1, s2, s3
+            ends[4, y1], ends[5, y1], ends[6, y1] = s4, s5, s6
         for j in range(local.shape[1]):
             x = j * stride
             first, last = max(x - half, 0), min(x + half + 1, width)

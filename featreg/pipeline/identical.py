@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,12 +29,12 @@ SHARED_DARK = 0.7
 DRAWN_BRIGHT, DRAWN_GREY, GREY_NOISE, DRAWN_DARK = 0.85, 0.2, 0.08, 0.1
 #: Samples that tell what is bright and what is dark.
 SAMPLES = 4000
-#: Half of the square in which the two drawings are compared, px, the fewest pixels of one there, and the share of those
-#: of either image that both have. Bright targets and speckle of two places overlap by less. A drawing covers no more of
-#: the image than the last.
-AROUND, STROKE, OVERLAP, MOST_DRAWN = 7, 12, 0.7, 0.3
+#: Fewest pixels of a drawing in the square of 15 px in which two are compared, and the share of those of either image
+#: that both have. Bright targets and speckle of two places overlap by less. A drawing covers no more of the image than
+#: the last.
+STROKE, OVERLAP, MOST_DRAWN = 12, 0.7, 0.3
 #: Squares that both fill to at most this share lie on an outline, and the share of these that must be alike.
-OUTLINE, SAME_OUTLINE = 0.8, 0.6
+OUTLINE, SAME_OUTLINE = int(0.8 * 15**2), 0.6
 #: So far around a drawing compression with losses leaves traces of it, px.
 RINGING = 9
 #: Side of the squares whose means are compared around the identical pixels, and how alike they are where the images
@@ -57,24 +58,38 @@ def identical_pixels(reference: Image, secondary: Image) -> BoolArray | None:
     """
     if reference.shape != secondary.shape:
         return None
-    a, b = reference.pixels, secondary.pixels
-    same: BoolArray = np.asarray(a == b)
-    for image in (reference, secondary):
-        if not image.all_valid:
-            same &= image.mask
-    count = np.count_nonzero(same)
-    if count > MOST * same.size:
+    from featreg.pipeline import identical_kernels as kernels
+
+    mask, highest = _both_valid(reference, secondary), np.empty(reference.shape[1], np.float32)
+    a, b = (np.ascontiguousarray(image.amplitude) for image in (reference, secondary))
+    # As many as are of one amplitude; samples of complex images are identical where their phases are as well.
+    count = kernels.surveyed(a, b, mask, highest)
+    same = _same(reference, secondary, mask) if count >= LEAST else None
+    if same is not None:
+        count = int(np.count_nonzero(same))
+    if count > MOST * mask.size:
         return None
-    drawn = _drawn(reference, secondary)
+    drawn = _drawn(a, b, mask, float(highest.max()))
     if count >= LEAST or drawn is not None:
-        same = _beyond_chance(same, np.abs(a), np.abs(b))
+        same = _beyond_chance(_same(reference, secondary, mask) if same is None else same, a, b)
         same = same if drawn is None else same | drawn
         if np.count_nonzero(same) >= LEAST and _likeness(reference, secondary, same) < ALIKE:
             return np.ones_like(same) if _detail(reference, secondary, _widened(same, RINGING)) >= PATTERN else same
-    nothing = np.zeros_like(same)
-    if _detail(reference, secondary, nothing) >= PATTERN and _likeness(reference, secondary, nothing) < ALIKE:
-        return np.ones_like(same)
+    if _detail(reference, secondary) >= PATTERN and _likeness(reference, secondary, np.zeros_like(mask)) < ALIKE:
+        return np.ones_like(mask)
     return None
+
+
+def _both_valid(reference: Image, secondary: Image) -> BoolArray:
+    """(H, W) pixels that are valid in both images."""
+    if reference.all_valid:
+        return secondary.mask
+    return reference.mask if secondary.all_valid else reference.mask & secondary.mask
+
+
+def _same(reference: Image, secondary: Image, mask: BoolArray) -> BoolArray:
+    """(H, W) valid pixels that are identical in both images."""
+    return np.asarray(reference.pixels == secondary.pixels) & mask
 
 
 def without_identical(reference: Image, secondary: Image, same: BoolArray) -> tuple[Image, Image]:
@@ -170,69 +185,59 @@ def _whole_numbers(samples: F32) -> NDArray[np.int32] | None:
     return whole if bool((whole == samples).all()) else None
 
 
-def _drawn(reference: Image, secondary: Image) -> BoolArray | None:
+def _drawn(first: F32, second: F32, mask: BoolArray, top: float) -> BoolArray | None:
     """(H, W) pixels of the same bright or dark drawing on both images, which compression has made differ a little.
 
-    None where there is none.
+    None where there is none. `first` and `second` are amplitudes, `mask` (H, W) the pixels that are valid in both, and
+    `top` the highest amplitude of these.
     """
-    import cv2
-
     from featreg.pipeline import identical_kernels as kernels
 
-    first, second = reference.amplitude, secondary.amplitude
-    mask = reference.mask if secondary.all_valid else secondary.mask
-    if not (reference.all_valid or secondary.all_valid):
-        mask = reference.mask & secondary.mask
     some = _some(mask)
     if not len(some):
         return None
-    median, ninth = np.transpose([_deciles(view.ravel()[some]) for view in (first, second)])
-    dark, bright = np.float32(DRAWN_DARK * min(median)), max(ninth)
-    top = max(cv2.minMaxLoc(view, mask.view(np.uint8))[1] for view in (first, second))
+    (median, ninth), (middle, upper) = (_deciles(view.ravel()[some]) for view in (first, second))
+    dark, bright = np.float32(DRAWN_DARK * min(median, middle)), max(ninth, upper)
     grey, white = (np.float32(max(bright, share * top)) for share in (DRAWN_GREY, DRAWN_BRIGHT))
-    noise = np.float32(GREY_NOISE * top)
-    bits, around = np.empty(mask.shape, np.uint8), np.empty(3, np.int64)
-    kernels.drawable(first, second, mask, dark, grey, white, noise, bits)
-
-    def number(bit: np.uint8) -> int:
-        return int(np.count_nonzero(bits & bit))
-
-    outline = OUTLINE * (2 * AROUND + 1) ** 2
+    bits, counts = np.empty(mask.shape, np.uint8), np.empty(3, np.int64)
+    kernels.drawable(first, second, mask, dark, grey, white, np.float32(GREY_NOISE * top), bits, counts)
     found: NDArray[np.uint8] | None = None
-    for one, other in (
-        (kernels.DARK_BOTH, kernels.DARK_EITHER),
-        (kernels.WHITE_BOTH, kernels.WHITE_EITHER),
-        (kernels.GREY_BOTH, kernels.GREY_EITHER),
+    for both, either, count in (
+        (kernels.DARK_BOTH, kernels.DARK_EITHER, counts[0]),
+        (kernels.WHITE_BOTH, kernels.WHITE_EITHER, counts[1]),
+        (kernels.GREY_BOTH, kernels.GREY_EITHER, counts[2]),
     ):
-        count = number(one)
         if count < LEAST:
             continue
-        if one == kernels.DARK_BOTH and count < SHARED_DARK * max(
-            number(kernels.DARK_FIRST), number(kernels.DARK_SECOND)
+        if both == kernels.DARK_BOTH and count < SHARED_DARK * max(
+            np.count_nonzero(bits & np.uint8(bit)) for bit in (kernels.DARK_FIRST, kernels.DARK_SECOND)
         ):
             continue
-        alike = np.zeros(mask.shape, np.uint8)
+        alike, around = np.empty(mask.shape, np.uint8), np.empty(2, np.int64)
         flat, into = bits.ravel(), alike.ravel()
-        kernels.alike_around(
-            flat, reference.shape[1], int(one), int(other), AROUND, STROKE, np.float32(OVERLAP), outline, into, around
-        )
+        kernels.alike_around(flat, mask.shape[1], both, either, STROKE, np.float32(OVERLAP), OUTLINE, into, around)
         # Two lakes, or two bright fields, overlap inside; a drawing has the same outline on both.
-        if around[2] > SAME_OUTLINE * around[1]:
+        if around[1] > SAME_OUTLINE * around[0]:
             found = alike if found is None else found | alike
     if found is None or not 0 < np.count_nonzero(found) <= MOST_DRAWN * found.size:
         return None
     return found.view(np.bool_)
 
 
+@lru_cache(maxsize=8)
+def _places(size: int) -> IntArray:
+    """`SAMPLES` numbers below `size`, drawn at random, always the same."""
+    return read_only(np.random.default_rng(0).integers(0, size, SAMPLES))
+
+
 def _some(mask: BoolArray) -> IntArray:
     """About `SAMPLES` places of a mask, drawn at random, as rows and columns may be those of a grid."""
-    rng = np.random.default_rng(0)
-    drawn = rng.integers(0, mask.size, SAMPLES)
+    drawn = _places(mask.size)
     good = drawn[mask.ravel()[drawn]]
     if len(good) >= SAMPLES // 2:
         return good
     every = np.flatnonzero(mask.ravel())
-    return every[rng.integers(0, len(every), SAMPLES)] if len(every) else every
+    return every[np.random.default_rng(1).integers(0, len(every), SAMPLES)] if len(every) else every
 
 
 def _deciles(values: F32) -> tuple[float, float]:
@@ -292,11 +297,11 @@ def _better_elsewhere(first: FloatArray, second: FloatArray) -> bool:
     return bool(product.max() > here)
 
 
-def _detail(reference: Image, secondary: Image, same: BoolArray) -> float:
+def _detail(reference: Image, secondary: Image, same: BoolArray | None = None) -> float:
     """Correlation of the finest detail, each pixel less its 3 x 3 mean in logarithms, in the middle of the images.
 
-    Without the pixels of `same`; 0 where fewer than half are left or they are all alike. A quarter of the middle tells
-    where there is none.
+    Without the pixels of `same`, and without those around which both images are black (their shore is one of both); 0
+    where fewer than half are left or they are all alike. A quarter of the middle tells where there is none.
     """
     few = _detail_within(reference, secondary, same, CROP // 2)
     if few is not None and few < PATTERN / 2:
@@ -304,25 +309,19 @@ def _detail(reference: Image, secondary: Image, same: BoolArray) -> float:
     return _detail_within(reference, secondary, same, CROP) or 0.0
 
 
-def _detail_within(reference: Image, secondary: Image, same: BoolArray, side: int) -> float | None:
+def _detail_within(reference: Image, secondary: Image, same: BoolArray | None, side: int) -> float | None:
     """`_detail` in a square of the middle; None where fewer than half of its pixels are left, or they are all alike."""
-    import cv2
+    from featreg.pipeline import identical_kernels as kernels
 
-    middle = tuple(slice(max(0, n // 2 - side // 2), n // 2 + side // 2) for n in reference.shape)
-    use = reference.mask[middle] & secondary.mask[middle] & ~same[middle]
-    count = np.count_nonzero(use)
-    if count < 0.5 * use.size:
+    rows, columns = (slice(max(0, n // 2 - side // 2), n // 2 + side // 2) for n in reference.shape)
+    use = _both_valid(reference, secondary)[rows, columns]
+    use = np.ascontiguousarray(use) if same is None else use & ~same[rows, columns]
+    if min(use.shape) < 2:
         return None
-    views: list[FloatArray] = []
-    for image in (reference, secondary):
-        amplitude = np.ascontiguousarray(np.abs(image.pixels[middle]))
-        view = cv2.log(np.maximum(amplitude, 1e-2 * float(amplitude.mean()) + 1e-30).astype(np.float32))
-        fine = (view - cv2.blur(view, (3, 3)))[use].astype(np.float64)
-        views.append(fine - fine.mean())
-    squares = [float(fine @ fine) for fine in views]
-    if min(squares) < 1e-12 * count:
-        return None
-    return float(views[0] @ views[1]) / math.sqrt(squares[0] * squares[1])
+    one, other = (np.ascontiguousarray(np.abs(image.pixels[rows, columns])) for image in (reference, secondary))
+    floors = np.array([1e-2 * float(view.mean()) + 1e-30 for view in (one, other)], np.float32)
+    found = kernels.fine_detail(one, other, use, floors, 0.5)
+    return None if math.isnan(found) else found
 
 
 def _widened(mask: BoolArray, by: int = 1) -> BoolArray:

@@ -138,7 +138,8 @@ def test_what_may_be_drawn_is_told_pixel_by_pixel() -> None:
     second[:20] = first[:20]
     mask, bits = rng.random(first.shape) > 0.1, np.empty(first.shape, np.uint8)
     dark, grey, white, noise = (np.float32(value) for value in (0.2, 1.5, 3, 0.1))
-    kernels.drawable(first, second, mask, dark, grey, white, noise, bits)
+    counts = np.empty(3, np.int64)
+    kernels.drawable(first, second, mask, dark, grey, white, noise, bits, counts)
     less, more = np.minimum(first, second), np.maximum(first, second)
     expected = {
         kernels.DARK_BOTH: more <= dark,
@@ -152,27 +153,43 @@ def test_what_may_be_drawn_is_told_pixel_by_pixel() -> None:
     }
     for bit, where in expected.items():
         assert (mask & where).any()
-        np.testing.assert_array_equal((bits & bit) > 0, mask & where)
+        np.testing.assert_array_equal((bits & np.uint8(bit)) > 0, mask & where)
+    both = (kernels.DARK_BOTH, kernels.WHITE_BOTH, kernels.GREY_BOTH)
+    assert counts.tolist() == [(mask & expected[bit]).sum() for bit in both]
+
+
+def test_equal_pixels_are_counted_and_the_highest_found() -> None:
+    rng = np.random.default_rng(4)
+    first, second = rng.integers(0, 9, (2, 40, 53)).astype(np.float32)
+    mask, highest = rng.random(first.shape) > 0.1, np.empty(53, np.float32)
+    mask[:, 7] = False
+    second[3, 5] = 90.0
+    for found in (mask, mask & (second < 90)):
+        assert kernels.surveyed(first, second, found, highest) == ((first == second) & found).sum()
+        np.testing.assert_array_equal(highest, (np.maximum(first, second) * found).max(axis=0))
 
 
 def test_drawings_are_compared_in_the_squares_around_what_they_share() -> None:
     rng = np.random.default_rng(5)
+    grey_both, grey = np.uint8(kernels.GREY_BOTH), np.uint8(kernels.GREY_EITHER)
     bits = np.zeros((60, 71), np.uint8)
-    bits[rng.random(bits.shape) < 0.1] |= kernels.GREY_EITHER
-    bits[:30][rng.random((30, 71)) < 0.4] |= kernels.GREY_BOTH | kernels.GREY_EITHER
-    found, counts = np.zeros(bits.shape, np.uint8), np.empty(3, np.int64)
-    both, either = ((bits & bit) > 0 for bit in (kernels.GREY_BOTH, kernels.GREY_EITHER))
+    bits[rng.random(bits.shape) < 0.1] |= grey
+    bits[:30][rng.random((30, 71)) < 0.4] |= grey_both | grey
+    bits[40:, 20:50] |= grey_both | grey
+    found, counts = np.ones(bits.shape, np.uint8), np.empty(2, np.int64)
+    both, either = ((bits & bit) > 0 for bit in (grey_both, grey))
     shared, total = (
         cv2.boxFilter(which.astype(np.float32), -1, (15, 15), normalize=False, borderType=cv2.BORDER_CONSTANT)
         for which in (both, either)
     )
-    bit, other = int(kernels.GREY_BOTH), int(kernels.GREY_EITHER)
-    kernels.alike_around(bits.ravel(), 71, bit, other, 7, 12, np.float32(0.9), 80.0, found.ravel(), counts)
+    assert shared.max() == 225
+    places = kernels.GREY_BOTH, kernels.GREY_EITHER
+    kernels.alike_around(bits.ravel(), 71, *places, 12, np.float32(0.9), 80, found.ravel(), counts)
     looked = both & (shared >= 12)
     alike = looked & (shared >= np.float32(0.9) * total)
     np.testing.assert_array_equal(found > 0, alike)
     outline = looked & (shared <= 80)
-    assert counts.tolist() == [looked.sum(), outline.sum(), (alike & outline).sum()]
+    assert counts.tolist() == [outline.sum(), (alike & outline).sum()]
     assert 0 < alike.sum() < looked.sum()
 
 

@@ -9,6 +9,7 @@ import pytest
 from featreg.io import as_image
 from featreg.pipeline import identical
 from featreg.pipeline.identical import CROP, PATTERN, _beyond_chance, _counted, _counts_of, _detail
+from featreg.pipeline.identical_kernels import fine_detail
 
 
 @pytest.mark.parametrize("gain", [1.0, 0.37])
@@ -46,3 +47,29 @@ def test_a_pattern_is_seen_around_a_middle_that_shows_nothing() -> None:
     first, second = (_detail(as_image(pair[0]), as_image(pair[1]), shore) for pair in (images, unlike))
     assert first > 2 * PATTERN
     assert abs(second) < PATTERN / 2
+
+
+def test_fine_detail_is_what_lies_beside_the_mean_of_nine() -> None:
+    rng = np.random.default_rng(9)
+    first, second = rng.gamma(4.0, 1.0, (2, 40, 51)).astype(np.float32)
+    second += first
+    first[:8, :9] = second[:8, :9] = 0
+    mask = rng.random(first.shape) > 0.2
+    floors = np.array([0.05, 0.07], np.float32)
+    found = fine_detail(first, second, mask, floors, 0.5)
+    logs = [np.log(np.maximum(view, floor)) for view, floor in zip((first, second), floors, strict=True)]
+    black = ((first <= floors[0]) & (second <= floors[1])).view(np.uint8)
+    use = mask & (cv2.dilate(black, np.ones((3, 3), np.uint8)) == 0)
+    fine = [(view - cv2.blur(view, (3, 3)))[use].astype(np.float64) for view in logs]
+    assert found == pytest.approx(np.corrcoef(*fine)[0, 1], abs=1e-5)
+    assert np.isnan(fine_detail(first, second, mask & (rng.random(mask.shape) > 0.6), floors, 0.5))
+    assert np.isnan(fine_detail(np.ones_like(first), second, mask, floors, 0.5))
+
+
+def test_the_shore_of_what_is_black_in_both_is_no_pattern() -> None:
+    """A lake quantised to 0 has the same shore on both dates: detail that is no fixed pattern."""
+    rng = np.random.default_rng(10)
+    lake = cv2.GaussianBlur(rng.normal(size=(200, 200)), (0, 0), 4) > 0.03
+    pair = (rng.gamma(4.0, 1.0, (2, 200, 200)) * ~lake).astype(np.float32)
+    assert 0.3 < lake.mean() < 0.5
+    assert abs(_detail(as_image(pair[0], nodata=-1), as_image(pair[1], nodata=-1))) < PATTERN / 2
