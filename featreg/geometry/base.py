@@ -145,11 +145,13 @@ class MatrixModel(Model):
 
     def __call__(self, xy: ArrayLike) -> FloatArray:
         p = np.asarray(xy, np.float64)
-        m = self.matrix
         x, y = p[..., 0], p[..., 1]
         out = np.empty_like(p)
-        out[..., 0] = m[0, 0] * x + m[0, 1] * y + m[0, 2]
-        out[..., 1] = m[1, 0] * x + m[1, 1] * y + m[1, 2]
+        for axis, (a, b, shift) in enumerate(self.matrix[:2].tolist()):
+            mapped = a * x
+            mapped += b * y
+            mapped += shift
+            out[..., axis] = mapped
         return out
 
     def _linear(self) -> FloatArray:

@@ -113,10 +113,11 @@ def fitted(
     """
     with stage("model"):
         kept = survivors(stages, len(matches))
-        here, there = matches.reference_xy[kept], matches.secondary_xy[kept]
+        left = np.flatnonzero(kept)
+        here, there = matches.reference_xy.take(left, axis=0), matches.secondary_xy.take(left, axis=0)
         model: Model | FailedFit
         if robust:
-            known = None if matches.covariance is None else inverse_variances(matches.covariance[kept])
+            known = None if matches.covariance is None else inverse_variances(matches.covariance.take(left, axis=0))
             model, weights = irls(kind, here, there, weights=known, scale_px=SCALE_PX, iterations=ROUNDS)
         else:
             model, weights = kind.from_estimate(here, there), np.ones(len(here))
@@ -125,9 +126,9 @@ def fitted(
             counts = {name: int(mask.sum()) for name, mask in stages.items()}
             model = FailedFit(why_no_fit(len(matches), counts, kind.minimum, model.reason, meanings))
         else:
-            rows = np.flatnonzero(kept)[weights > 0]
+            rows = left[weights > 0]
             rows = rows[np.argsort(-matches.score[rows], kind="stable")]
-            inliers[rows[_distinct_rows(matches.reference_xy[rows])][:n_features]] = True
+            inliers[rows[_distinct_rows(matches.reference_xy.take(rows, axis=0))][:n_features]] = True
         return Draft(matches, stages, kept, np.ones(len(matches), np.bool_), inliers, model)
 
 
@@ -157,8 +158,8 @@ def located(draft: Draft, found: Matches, n_features: int) -> Draft:
         away = model.residuals(found.reference_xy, found.secondary_xy)
         near = np.flatnonzero(away <= NEAR_PX)
         if len(near) >= max(3 * model.minimum, 8, LEAST_LOCATED * np.count_nonzero(draft.inliers)):
-            here, there = found.reference_xy[near], found.secondary_xy[near]
-            known = inverse_variances(found.covariance[near])
+            here, there = found.reference_xy.take(near, axis=0), found.secondary_xy.take(near, axis=0)
+            known = inverse_variances(found.covariance.take(near, axis=0))
             refit, weights = irls(type(model), here, there, weights=known, scale_px=LOCATED_SCALE_PX, iterations=ROUNDS)
     if isinstance(refit, FailedFit):
         # Without a fit nothing tells the factor of the covariances.
@@ -167,11 +168,12 @@ def located(draft: Draft, found: Matches, n_features: int) -> Draft:
     here, there = found.reference_xy, found.secondary_xy
     covariance = found.covariance
     if covariance is not None:
-        factor = variance_factor(there[used] - refit(here[used]), covariance[used])
+        off = there.take(used, axis=0) - refit(here.take(used, axis=0))
+        factor = variance_factor(off, covariance.take(used, axis=0))
         found = replace(found, covariance=covariance * factor)
     draft = _appended(draft, "locate", found)
     rows = used[np.argsort(-found.score[used], kind="stable")]
-    rows = rows[_distinct_rows(here[rows])][:n_features]
+    rows = rows[_distinct_rows(here.take(rows, axis=0))][:n_features]
     inliers = np.zeros(len(draft.matches), np.bool_)
     inliers[len(inliers) - len(found) + rows] = True
     checks = found.take(refit.residuals(here, there) <= CHECK_PX)

@@ -41,6 +41,10 @@ BOUNDS: Mapping[str, Callable[[Any, Any], bool]] = {
 }
 WORDS = {"ge": "of at least", "gt": "above", "le": "up to", "lt": "below"}
 
+#: Kinds of values of which a function remembers those that are allowed, and how many it does.
+PLAIN = (int, float, bool, str)
+MOST_ALLOWED = 256
+
 #: Declarations that many parameters share.
 Count = Annotated[int, Ge(1)]
 Positive = Annotated[float, Interval(gt=0, lt=math.inf)]
@@ -171,6 +175,7 @@ def checked(owner: str) -> Callable[[Thing], Thing]:
     def decorate(thing: Thing) -> Thing:
         function: Any = thing.__init__ if isinstance(thing, type) else thing  # type: ignore[misc]  # of the class itself
         names = list(inspect.signature(function).parameters)
+        allowed: set[tuple[str, type, Any]] = set()
 
         @wraps(function)
         def call(*args: Any, **keywords: Any) -> Any:
@@ -178,7 +183,13 @@ def checked(owner: str) -> Callable[[Thing], Thing]:
             # Arguments that do not fit the signature are the function's own to refuse.
             for name, value in (*zip(names, args, strict=False), *keywords.items()):
                 if name in known:
+                    # What was allowed once is, as long as nothing but its value decides.
+                    seen = (name, type(value), value) if type(value) in PLAIN else None
+                    if seen in allowed:
+                        continue
                     known[name].check(prefix + name, value)
+                    if seen is not None and len(allowed) < MOST_ALLOWED:
+                        allowed.add(seen)
             return function(*args, **keywords)
 
         if not isinstance(thing, type):

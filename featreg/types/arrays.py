@@ -112,12 +112,20 @@ class ReadOnlyArrays:
         if isinstance(rows, tuple):
             # numpy takes one for an index along each axis.
             rows = list(rows)
+        given: Any = rows
         if isinstance(rows, np.ndarray) and rows.dtype == np.bool_ and len(rows) == len(self):  # type: ignore[arg-type]  # all that have rows have a length
             # Found once, not anew in every column.
-            rows = np.flatnonzero(rows)
+            given = np.flatnonzero(rows)
+        taken = isinstance(given, np.ndarray) and given.dtype == np.int64
         new = object.__new__(type(self))
         columns = {name: values for name, values in vars(self).items() if isinstance(values, np.ndarray)}
-        vars(new).update(vars(self), **{name: read_only(values[rows]) for name, values in columns.items()})
+        vars(new).update(
+            vars(self),
+            **{
+                name: read_only(values.take(given, axis=0) if taken else values[given])
+                for name, values in columns.items()
+            },
+        )
         return new
 
     def __setstate__(self, state: dict[str, Any]) -> None:

@@ -172,3 +172,20 @@ def test_an_annotation_that_cannot_be_read_allows_everything() -> None:
         def __init__(self, table: np.no.such.thing | None = None) -> None: ...  # type: ignore[name-defined]
 
     assert declared(Odd)["table"].allows(object())
+
+
+def test_what_was_allowed_once_allows_nothing_else() -> None:
+    @checked("plain")
+    def plain(*, count: Count = 1, size: Positive = 1.0) -> tuple[int, float]:
+        return count, size
+
+    for _ in range(2):
+        assert plain(count=1, size=2) == (1, 2)
+        # Equal to what was allowed, of another kind.
+        with pytest.raises(ParameterError, match=r"'plain.count' must be a whole number"):
+            plain(count=1.0)  # type: ignore[arg-type]  # on purpose
+        with pytest.raises(ParameterError, match=r"'plain.count' must be a whole number"):
+            plain(count=True)
+        with pytest.raises(ParameterError, match=r"'plain.size' must be a number above 0"):
+            plain(size=float("nan"))
+        assert plain(size=1) == (1, 1)

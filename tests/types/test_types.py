@@ -508,3 +508,19 @@ def test_columns_are_shared_where_nobody_can_write_to_them_and_copied_elsewhere(
         assert made.dtype == np.float64
     free[0, 0] = 5.0
     assert Matches(view, view, np.zeros(3)).reference_xy[0, 0] == 5.0
+
+
+def test_rows_of_each_kind_are_those_of_indexing() -> None:
+    rng = np.random.default_rng(1)
+    xy, descriptors = rng.random((9, 2)), rng.random((9, 4)).astype(np.float32)
+    features = Features(xy, xy[:, 0], xy[:, 1], xy[:, 0], np.arange(9), descriptors)
+    mask = xy[:, 0] > 0.5
+    for rows in (np.array([3, -1, 0]), np.array([2, 4], np.int32), mask, slice(2, 5), [1, 1], np.zeros(0, np.int64)):
+        taken = features.take(rows)  # type: ignore[arg-type]  # slices and lists are taken too
+        assert np.array_equal(taken.xy, xy[rows])
+        assert np.array_equal(taken.level, np.arange(9)[rows])
+        assert np.array_equal(taken.descriptors, descriptors[rows])  # type: ignore[arg-type]  # they are described
+        assert taken.xy.flags.c_contiguous
+    for wrong in (np.array([9]), np.ones(8, np.bool_)):
+        with pytest.raises(IndexError):
+            features.take(wrong)
