@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from featreg.types import BoolArray, FloatArray, Image, everywhere, read_only
 
@@ -16,6 +18,8 @@ SUPPORT = 20.0
 REACH = 2.0
 # A reduced pixel counts where at least this share of it, of 255, is data.
 WHOLE = 254
+# The mask of an image without invalid pixels, as kernels take it.
+ALL = np.empty((0, 0), np.uint8)
 
 
 def pyramid(image: Image, levels: int = 8, factor: float = 1.2) -> tuple[Image, ...]:
@@ -83,19 +87,26 @@ def _level_size(shape: tuple[int, int], number: int, factor: float) -> tuple[int
 
 
 def _level(image: Image, number: int, factor: float) -> Image:
-    import cv2
+    from featreg.sar import pyramid_kernels
 
     before = image if number == 1 else image.derive(_level, number=number - 1, factor=factor)
-    size = _level_size(image.shape, number, factor)
-    pixels = cv2.resize(before.amplitude, size, interpolation=cv2.INTER_LINEAR)
-    mask: BoolArray
-    if before.all_valid:
-        mask = everywhere((pixels.shape[0], pixels.shape[1]))
-    else:
-        share = cv2.resize(before.mask.view(np.uint8) * 255, size, interpolation=cv2.INTER_LINEAR)
-        mask = share == 255
-        pixels *= mask
-    return Image(read_only(np.asarray(pixels, np.float32)), read_only(mask), source_dtype=image.source_dtype)
+    width, height = _level_size(image.shape, number, factor)
+    pixels, whole = np.empty((height, width), np.float32), before.all_valid
+    mask: BoolArray = everywhere((height, width)) if whole else np.empty((height, width), np.bool_)
+    valid = ALL if whole else np.ascontiguousarray(before.mask).view(np.uint8)
+    across, down = _neighbours(before.shape[1], width), _neighbours(before.shape[0], height)
+    amplitude = np.ascontiguousarray(before.amplitude)
+    pyramid_kernels.interpolated(amplitude, valid, *across, *down, pixels, ALL if whole else mask.view(np.uint8))
+    return Image(read_only(pixels), read_only(mask), source_dtype=image.source_dtype)
+
+
+@lru_cache(maxsize=64)
+def _neighbours(count: int, fewer: int) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """The first of the two of `count` >= 2 places between which each of `fewer` lies, and the share of the second."""
+    at = (np.arange(fewer) + 0.5) * (count / fewer) - 0.5
+    first = np.clip(np.floor(at), 0, count - 2).astype(np.int32)
+    share = np.clip(at - first, 0, 1).astype(np.float32)
+    return read_only(first), read_only(share)
 
 
 def _reduced_to(image: Image, height: int, width: int) -> Image:
