@@ -21,6 +21,8 @@ T = TypeVar("T", bound=np.generic)
 FEW = 1.5
 #: Root of the largest whole number of 32 bits.
 MOST_ROOT = 46_340
+#: A map's level is told by every so many rows and columns.
+SPARSE = 16
 #: Pixels of windows from which on threads share out the points, and into how many parts.
 LARGE, PARTS = 1 << 20, 8
 
@@ -71,8 +73,6 @@ def local_correlations(
     ParameterError
         A search around other points that is too wide.
     """
-    import cv2
-
     from featreg.sar import correlation_kernels
 
     order = np.argsort(xy[:, 1], kind="stable")
@@ -95,11 +95,18 @@ def local_correlations(
         edges = np.linspace(0, len(xy), 1 + (PARTS if len(xy) * side**2 >= LARGE else 1)).astype(int).tolist()
         side_by_side([partial(part, *ends) for ends in pairwise(edges)])
         return _in_order(found, order)
-    # Running sums lose digits on a high level.
-    a = first - np.float32(cv2.mean(first)[0])
-    b = second - np.float32(cv2.mean(second)[0])
-    correlation_kernels.correlations(a, b, xs, ys, half, search, found)
+    correlation_kernels.correlations(_about_zero(first), _about_zero(second), xs, ys, half, search, found)
     return _in_order(found, order)
+
+
+def _about_zero(values: F32) -> F32:
+    """A map less its mean, where that is more than what varies: running sums lose digits on a high level."""
+    import cv2
+
+    some = values[::SPARSE, ::SPARSE]
+    if abs(float(some.mean(dtype=np.float64))) <= float(some.std(dtype=np.float64)):
+        return values
+    return np.asarray(values - np.float32(cv2.mean(values)[0]))
 
 
 def _in_order(found: NDArray[T], order: IntArray) -> NDArray[T]:
@@ -126,9 +133,10 @@ def peaks_uphill(
     Notes
     -----
     Where a start is right to a pixel, nine shifts are compared instead of all within the search. Values are taken in
-    whole steps, 46340 // (2 * half + 1) of them to the range of either map, so that sums fit in 32 bits: a window whose
-    standard deviation is below a step correlates with nothing, and the place of one of a few steps is less precise.
-    Speckle of one to 16 looks has 25 and more.
+    whole steps, 46340 // (2 * half + 1) of them to the range of either map, so that sums fit in 32 bits. Where the
+    standard deviation of a window is less than 16 of these it gets steps of its own, 32700 / (2 * half + 1) of them or
+    more to that, so that windows of little contrast beside strong targets are placed as well. What varies by less than
+    a millionth of its mean correlates with nothing.
     """
     now, nine = _uphill(first, second, xy, there, start, half, search, apart)
     # A point that would leave the search has its peak on the rim of the 3 x 3 shifts, which is not sound.
@@ -165,6 +173,8 @@ def _uphill(
     order = np.argsort(xy[:, 1], kind="stable")
     xs, ys, us, vs = np.ascontiguousarray(np.concatenate([xy[order], there[order]], axis=1).T)
     now, nine = start[order], np.empty((len(xy), 3, 3))
+    if not len(xy):
+        return start, np.empty((0, 3, 3))
     flat_a, flat_b = first.ravel(), second.ravel()
     steps_a, steps_b = (_steps(flat, 2 * half + 1) for flat in (flat_a, flat_b))
 

@@ -222,6 +222,30 @@ def test_uphill_a_constant_window_correlates_with_nothing(value: float) -> None:
     assert found.height == 0
 
 
+@pytest.mark.parametrize("target", [0, 1])
+def test_a_faint_window_beside_a_strong_target_keeps_its_place(target: int) -> None:
+    """Contrast of 1.5 %, in maps whose range is a thousand times that."""
+    first, second = (0.015 * smooth(90, 100, by) / smooth(90, 100).std() + 4 for by in ((0, 0), (0.8, -1.2)))
+    at = np.array([[45, 45], [40, 20]])
+    plain = peaks(local_correlations(first - 4, second - 4, at, 14, 3))
+    # Far away in both maps; and at the rim of what the first point is compared with.
+    for part in (first, second):
+        part[5, 5] = 20.0
+    if target:
+        second[45, 45 + 14 + 4] = 20.0
+    found = peaks_uphill(first, second, at, at, np.zeros_like(at), 14, 3, 2)
+    assert found.sound.all()
+    np.testing.assert_allclose(found.height, plain.height, atol=2e-3)
+    np.testing.assert_allclose(found.shift, plain.shift, atol=0.01)
+
+
+def test_large_windows_correlate_as_finely_as_small_ones() -> None:
+    first, second = smooth(640, 650), smooth(640, 650, (0.4, 0.3))
+    at = np.array([[320, 318], [324, 322]])
+    found = peaks_uphill(first, second, at, at, np.zeros_like(at), 300, 1)
+    np.testing.assert_allclose(found.height, [direct(first, second, x, y, 0, 0, 300) for x, y in at], atol=1e-4)
+
+
 @pytest.mark.parametrize("few", [0.0, 1e9])
 @pytest.mark.parametrize("shift", [(0.2, -0.3), (1.3, 0.4)])
 def test_peaks_near_are_those_of_all_shifts(few: float, shift: tuple[float, float], monkeypatch: Any) -> None:
