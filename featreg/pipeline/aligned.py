@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from featreg.interfaces import Model
+from featreg.runtime.threads import side_by_side
 from featreg.sar.bridging import on_sample
 from featreg.sar.correlation import Peaks
 from featreg.sar.pyramid import clear
@@ -25,13 +28,40 @@ SAMPLED_PX = 6.0
 STEP_PX = 8.0
 #: OpenCV resamples images of at most so many pixels a side; parts of a larger one have so many, px.
 MOST_SIDE, PART_SIDE = 32_000, 4_096
+#: An affine map that stretches more along an axis is left to OpenCV.
+MOST_STRETCHED = 30.0
+#: Pixels of a grid from which on threads share out its rows, and into how many parts.
+LARGE, PARTS = 1 << 21, 8
 
 
 def resampled(view: F32, model: Model, shape: tuple[int, int]) -> F32:
     """Return the map `view` of the secondary on the (H, W) grid of the reference; its rim goes on outside it."""
     import cv2
 
+    matrix = model.matrix
+    if matrix is not None and np.array_equal(matrix[2], [0, 0, 1]) and _takes(view, matrix):
+        return _sampled(np.ascontiguousarray(view), np.ascontiguousarray(matrix[:2]), shape)
     return np.asarray(warped(view, model, shape, cv2.INTER_LINEAR, cv2.BORDER_REPLICATE), np.float32)
+
+
+def _takes(view: F32, matrix: FloatArray) -> bool:
+    """Whether a map and an affine map of it are such as `affine_kernels` takes."""
+    return min(view.shape) >= 2 and view.size < 2**31 and bool(np.abs(matrix[:2, :2]).max() <= MOST_STRETCHED)
+
+
+def _sampled(view: F32, affine: FloatArray, shape: tuple[int, int]) -> F32:
+    """A map at the places to which an affine map (2, 3) takes a grid; of a large grid, threads share out the rows."""
+    from featreg.sar.affine_kernels import sampled_affinely
+
+    out = np.empty(shape, np.float32)
+    flat, (height, width) = view.ravel(), view.shape
+
+    def part(top: int, bottom: int) -> None:
+        sampled_affinely(flat, height, width, affine, top, out[top:bottom])
+
+    edges = np.linspace(0, shape[0], 1 + (PARTS if out.size > LARGE else 1)).astype(int).tolist()
+    side_by_side([partial(part, *ends) for ends in pairwise(edges)])
+    return out
 
 
 def warped(view: NDArray[Any], model: Model, shape: tuple[int, int], flags: int, border: int) -> NDArray[Any]:

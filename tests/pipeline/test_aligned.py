@@ -34,6 +34,42 @@ def test_parts_give_the_whole(model: Model, flags: int, border: int, monkeypatch
     assert wrong.mean() < (0.03 if flags == cv2.INTER_NEAREST and model is AFFINE else 0.001)
 
 
+@pytest.mark.parametrize(
+    "matrix",
+    [
+        [[1.04, -0.11, 19.7], [0.11, 1.03, -47.5]],
+        [[1, 0, 0], [0, 1, 0]],
+        [[-1, 0.02, 140], [-0.02, -1, 95]],
+        [[0.5, 0, -1e6], [0, 2, 3]],
+        [[20, 3, -500], [4, 22, -100]],
+    ],
+)
+def test_an_affine_map_is_followed_to_a_thousandth_of_a_pixel(
+    matrix: list[list[float]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Turned, as it is, upside down, wholly beyond the rim, and stretched; by parts the same bits."""
+    view = np.random.default_rng(0).random((90, 150), np.float32)
+    model, shape = Affine(np.array(matrix, np.float64)), (100, 333)
+    found = aligned.resampled(view, model, shape)
+    x, y = np.meshgrid(np.arange(shape[1]), np.arange(shape[0]))
+    at = np.clip(model(np.column_stack([x.ravel(), y.ravel()]).astype(np.float64)), 0, [149, 89])
+    left, top = np.minimum(at.astype(int), [148, 88]).T
+    u, v = (at - np.column_stack([left, top])).T
+    fine = view.astype(np.float64)
+    upper, lower = ((1 - u) * fine[row, left] + u * fine[row, left + 1] for row in (top, top + 1))
+    np.testing.assert_allclose(found.ravel(), (1 - v) * upper + v * lower, atol=1e-3)
+    monkeypatch.setattr(aligned, "LARGE", 1)
+    np.testing.assert_array_equal(aligned.resampled(view, model, shape), found)
+
+
+def test_maps_of_one_row_and_wide_stretches_are_resampled_too() -> None:
+    row = np.arange(40, dtype=np.float32)[None]
+    shift = Affine(np.array([[1, 0, 0.25], [0, 1, 0]]))
+    np.testing.assert_allclose(aligned.resampled(row, shift, (1, 39))[0], np.arange(39) + 0.25, atol=0.02)
+    wide = Affine(np.array([[300.0, 0, 0], [0, 300.0, 0]]))
+    assert aligned.resampled(np.full((50, 60), 2.5, np.float32), wide, (20, 30)).tolist() == [[2.5] * 30] * 20
+
+
 def test_an_image_longer_than_opencv_takes_is_resampled() -> None:
     view = np.tile(np.arange(40_000, dtype=np.float32), (3, 1))
     shift = Affine(np.array([[1, 0, 1000.5], [0, 1, 0]]))
