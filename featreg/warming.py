@@ -29,6 +29,7 @@ DEFAULT = (
     "featreg.sar.keypoints.binary_kernels",
     "featreg.sar.keypoints.corner_kernels",
     "featreg.sar.correlation_kernels",
+    "featreg.sar.affine_kernels",
     "featreg.sar.keypoints.motion_kernels",
     "featreg.simulate.paint_kernels",
     "featreg.sar.gradients.ratio_kernels",
@@ -93,11 +94,13 @@ def _warm_windows(pixels: Any) -> None:
 
     from featreg.io import as_image
     from featreg.sar.correlation import local_correlations
+    from featreg.sar.correlation_filter_kernels import HALF, TERMS
     from featreg.sar.speckle import despeckled_bytes_around
     from featreg.sar.windows import aligned_windows, gaussian
 
     image, at = as_image(pixels), np.array([[60, 60], [80, 90]])
-    aligned_windows(image, np.tile(np.eye(2, 3), (2, 1, 1)), image.shape, at - 16, 32, gaussian(1.0))
+    taps = np.ones((TERMS, 1 + HALF), np.float32)
+    aligned_windows(image, np.tile(np.eye(2, 3), (2, 1, 1)), image.shape, at - 16, 32, gaussian(1.0), (taps, taps))
     local_correlations(pixels, pixels, at, 5, 1)
     despeckled_bytes_around(image, at, 4)
 

@@ -98,7 +98,7 @@ class Locate:
         side = 2 * around + 1
         if few(len(at), side, reference.shape):
             maps = local_affines(model, (at + offset).astype(np.float64))
-            if compact(maps):
+            if compact(maps).all():
                 smooth = gaussian(self.smoothing)
                 here = log_windows(reference, at - around, side, smooth)
                 aligned = aligned_windows(secondary, maps, reference.shape, at + offset - around, side, smooth)

@@ -168,7 +168,7 @@ class Refine:
         around = self.half + FINE + 1
         side = 2 * around + 1
         maps = local_affines(model, seeds.astype(np.float64)) if few(len(seeds), side, reference.shape) else None
-        if maps is not None and len(maps) and compact(maps):
+        if maps is not None and len(maps) and compact(maps).all():
             best = self._filter(reference, secondary, model)
             if best is None:
                 return None
@@ -184,14 +184,17 @@ class Refine:
         best = correlation_filter(view, aligned, _shared_squares(reference, secondary, model))
         if best is None:
             return None
-        view, aligned = side_by_side([partial(best.applied, view), partial(best.applied, aligned)])
+        view, aligned = side_by_side([partial(best.applied, part, centred=True) for part in (view, aligned)])
         return view, aligned, seeds
 
     def _filter(self, reference: Image, secondary: Image, model: Model) -> CorrelationFilter | None:
         """The filter of two images, from squares that are whole in both."""
         corners = _shared_squares(reference, secondary, model)
         maps = local_affines(model, corners.astype(np.float64) + SIDE // 2)
-        if not len(corners) or not compact(maps):
+        # One far corner in which a model bends too much tells nothing of the others.
+        narrow = compact(maps)
+        corners, maps = corners[narrow], maps[narrow]
+        if not len(corners):
             return None
         return filter_of_squares(
             log_windows(reference, corners, SIDE), aligned_windows(secondary, maps, reference.shape, corners, SIDE)

@@ -38,12 +38,17 @@ class CorrelationFilter:
         middle = self.across.shape[1] // 2
         return self.across[:, middle:].copy(), self.down[:, middle:].copy()
 
-    def applied(self, view: F32) -> F32:
-        """Return a filtered (H, W) map; beyond its rim it is mirrored."""
+    def applied(self, view: F32, *, centred: bool = False) -> F32:
+        """Return a filtered (H, W) map, beyond its rim mirrored; `centred` takes away what becomes of its mean."""
+        import cv2
+
         from featreg.sar.correlation_filter_kernels import under_filter
 
         out = np.empty(view.shape, np.float32)
-        under_filter(np.ascontiguousarray(view), *self.taps, out)
+        # What a constant becomes, in float64: the sum of all taps.
+        gain = float(np.einsum("tk,tl->", self.across.astype(np.float64), self.down)) if centred else 0.0
+        level = np.float32(gain * cv2.mean(view)[0]) if centred else np.float32(0)
+        under_filter(np.ascontiguousarray(view), *self.taps, level, out)
         return out
 
 

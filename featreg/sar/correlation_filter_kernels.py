@@ -13,9 +13,10 @@ F32 = NDArray[np.float32]
 #: Half the side of the filter, px, and separable filters that it is a sum of.
 HALF, TERMS = 5, 3
 #: A map is worked on in tiles of so many columns and rows, which stay in the cache from one direction to the other.
-COLUMNS, ROWS = 128, 64
-# Rows of a tile under the filter along x lie a known number of values apart, and so do the terms.
-ROW, TERM = np.uint64(COLUMNS), np.uint64(COLUMNS * (ROWS + 2 * HALF))
+COLUMNS, ROWS = 128, 16
+#: Values from one row of a tile to the next under the filters along x, one after the other.
+STRIDE = TERMS * COLUMNS
+ROW, TERM = np.uint64(STRIDE), np.uint64(COLUMNS)
 
 
 @compiled
@@ -39,8 +40,8 @@ def _along(row: F32, taps: F32, start: int, count: int, out: F32) -> None:
 
 
 @compiled
-def _across(tile: F32, start: int, taps: F32, out: F32) -> None:
-    """Sum over the terms of a symmetric filter across the rows of a tile, the first of which begins at `start`."""
+def _across(tile: F32, start: int, taps: F32, level: np.float32, out: F32) -> None:
+    """Sum over the terms of a symmetric filter across the rows of a tile, the first at `start`, less a level."""
     a0, a1, a2, a3, a4, a5 = taps[0, 0], taps[0, 1], taps[0, 2], taps[0, 3], taps[0, 4], taps[0, 5]
     b0, b1, b2, b3, b4, b5 = taps[1, 0], taps[1, 1], taps[1, 2], taps[1, 3], taps[1, 4], taps[1, 5]
     c0, c1, c2, c3, c4, c5 = taps[2, 0], taps[2, 1], taps[2, 2], taps[2, 3], taps[2, 4], taps[2, 5]
@@ -63,7 +64,7 @@ def _across(tile: F32, start: int, taps: F32, out: F32) -> None:
             (c0 * tile[i + r5] + c1 * (tile[i + r4] + tile[i + r6]))
             + (c2 * (tile[i + r3] + tile[i + r7]) + c3 * (tile[i + r2] + tile[i + r8]))
         ) + (c4 * (tile[i + ROW] + tile[i + r9]) + c5 * (tile[i] + tile[i + r5 + r5]))
-        out[x] = value
+        out[x] = value - level
 
 
 @compiled
@@ -80,24 +81,46 @@ def _with_rim(row: F32, start: int, out: F32) -> None:
 
 
 @compiled
-def under_filter(view: F32, across: F32, down: F32, out: F32) -> None:
-    """Fill `out` (H, W) with a map under a sum of three separable symmetric filters; beyond its rim it is mirrored.
-
-    `across` and `down` (3, 6) are the taps along x and y, from the middle on.
-    """
+def _filtered(
+    view: F32, across: F32, down: F32, level: np.float32, rim: int, tile: F32, row: F32, out: F32
+) -> None:  # fmt: skip
+    """Fill `out` with a map under the filter, from `rim` pixels before its corner on, beyond which it is mirrored."""
     height, width = view.shape
-    tile, row = np.empty(TERMS * COLUMNS * (ROWS + 2 * HALF), np.float32), np.empty(COLUMNS + 2 * HALF, np.float32)
-    for top in range(0, height, ROWS):
-        high = min(ROWS, height - top)
-        for left in range(0, width, COLUMNS):
-            wide = min(COLUMNS, width - left)
-            inside = left >= HALF and left + wide + HALF <= width
-            for r in range(high + 2 * HALF):
-                y = mirrored(top + r - HALF, height)
+    for left in range(0, out.shape[1], COLUMNS):
+        wide = min(COLUMNS, out.shape[1] - left)
+        first = left - rim
+        inside = first >= 0 and first + wide + 2 * HALF <= width
+        for top in range(0, out.shape[0], ROWS):
+            high = min(ROWS, out.shape[0] - top)
+            known = 0
+            if top > 0:
+                known = 2 * HALF
+                for k in range(known * STRIDE):
+                    tile[k] = tile[k + ROWS * STRIDE]
+            for r in range(known, high + 2 * HALF):
+                y = mirrored(top + r - rim, height)
                 if inside:
-                    _along(view[y, left - HALF : left + wide + HALF], across, r * COLUMNS, wide, tile)
+                    _along(view[y, first : first + wide + 2 * HALF], across, r * STRIDE, wide, tile)
                 else:
-                    _with_rim(view[y], left - HALF, row[: wide + 2 * HALF])
-                    _along(row, across, r * COLUMNS, wide, tile)
+                    _with_rim(view[y], first, row[: wide + 2 * HALF])
+                    _along(row, across, r * STRIDE, wide, tile)
             for r in range(high):
-                _across(tile, r * COLUMNS, down, out[top + r, left : left + wide])
+                _across(tile, r * STRIDE, down, level, out[top + r, left : left + wide])
+
+
+@compiled
+def under_filter(view: F32, across: F32, down: F32, level: np.float32, out: F32) -> None:
+    """Fill `out` (H, W) with a map under a sum of three separable symmetric filters, less a level.
+
+    `across` and `down` (3, 6) are the taps along x and y, from the middle on. Beyond its rim the map is mirrored.
+    """
+    tile, row = np.empty(STRIDE * (ROWS + 2 * HALF), np.float32), np.empty(COLUMNS + 2 * HALF, np.float32)
+    _filtered(view, across, down, level, HALF, tile, row, out)
+
+
+@compiled
+def windows_under_filter(windows: F32, across: F32, down: F32, out: F32) -> None:
+    """Fill `out` (N, h - 2 * HALF, w - 2 * HALF) with windows (N, h, w) under the same; their rims are used up."""
+    tile, row = np.empty(STRIDE * (ROWS + 2 * HALF), np.float32), np.empty(COLUMNS + 2 * HALF, np.float32)
+    for i in range(out.shape[0]):
+        _filtered(windows[i], across, down, np.float32(0), 0, tile, row, out[i])

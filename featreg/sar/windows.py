@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from featreg.runtime.threads import side_by_side
 from featreg.sar.speckle import filled_amplitude, gaussian_reach, log_floor
-from featreg.types import FloatArray, Image, IntArray
+from featreg.types import BoolArray, FloatArray, Image, IntArray
 
 F32 = NDArray[np.float32]
 
@@ -117,9 +117,10 @@ def aligned_windows(
     return _in_chunks(made, np.arange(len(corners)), side)
 
 
-def compact(affine: FloatArray) -> bool:
-    """Whether affine maps (N, 2, 3) are finite, and none takes a square to so much that windows are no good."""
-    return bool(np.isfinite(affine).all()) and float(np.abs(affine[:, :, :2]).sum(axis=2).max()) <= MOST_STRETCHED
+def compact(affine: FloatArray) -> BoolArray:
+    """(N,) whether affine maps (N, 2, 3) are finite and take no square to so much that windows are no good."""
+    stretch = np.abs(affine[:, :, :2]).sum(axis=2).max(axis=1)
+    return np.asarray(np.isfinite(affine).all(axis=(1, 2)) & (stretch <= MOST_STRETCHED))
 
 
 def _box_side(affine: FloatArray, side: int) -> int:
@@ -145,12 +146,16 @@ def _logs(amplitude: F32, floor: np.float32, corners: IntArray, side: int, *late
 def _under(windows: F32, taps: Taps | None) -> F32:
     """Windows under a filter, smaller by what it reaches."""
     from featreg.sar import window_kernels
+    from featreg.sar.correlation_filter_kernels import HALF, TERMS, windows_under_filter
 
     if not _reach(taps) or taps is None:
         return windows
     side = windows.shape[1] - 2 * _reach(taps)
     out = np.empty((len(windows), side, side), np.float32)
-    window_kernels.smoothed_windows(windows, *taps, out)
+    if taps[0].shape == (TERMS, 1 + HALF):
+        windows_under_filter(windows, *taps, out)
+    else:
+        window_kernels.smoothed_windows(windows, *taps, out)
     return out
 
 

@@ -83,6 +83,23 @@ def test_windows_around_few_points_say_what_the_whole_images_do(
     assert abs(len(around.matches) - len(whole.matches)) < 10
 
 
+def test_squares_that_a_model_stretches_too_much_are_left_out_of_the_filter() -> None:
+    class Stretched:
+        """A shift of 150 px along x, to the left of x = 100 an enlargement."""
+
+        matrix = None
+
+        def __call__(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
+            x = np.where(xy[:, 0] > 100, xy[:, 0] + 150, 250 - 2.4 * (100 - xy[:, 0]))
+            return np.column_stack([x, xy[:, 1]])
+
+    pixels = np.random.default_rng(0).gamma(4.0, 0.25, (200, 600)).astype(np.float32)
+    model: Any = Stretched()
+    found = Refine()._filter(as_image(pixels[:, 150:]), as_image(pixels), model)
+    assert found is not None
+    assert found.coherence[1:16].min() > 0.9
+
+
 def test_tie_points_are_distinct_whole_pixels_within_the_limit(pair: SimulatedPair) -> None:
     found = refined(pair)
     xy = found.matches.reference_xy
