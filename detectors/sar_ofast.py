@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from featreg.interfaces import Detector
 from featreg.registry import register
 from featreg.runtime.parameters import Count, Positive
+from featreg.sar.gradients.gradient_field import from_base
 from featreg.sar.gradients.ratio import quantised_edges, ratio_gradients
 from featreg.sar.keypoints.corners import fast_corners, orientation, refine_centroid, refine_corner
 from featreg.sar.pyramid import REACH, SUPPORT, clear, level_count, pyramid, share_out, to_base
@@ -88,31 +89,43 @@ class SarOfast(Detector):
         return replace(self, skip=min(self._skipped(reference), self._skipped(secondary)))
 
     def detect_features(self, image: Image) -> Features:
+        return self.oriented(image, self.detect_places(image))
+
+    def detect_places(self, image: Image) -> Features:
+        """As `detect_features`, upright."""
         first = self._skipped(image)
         chain = pyramid(image, first + self.levels, self.factor)[first:]
         found = [self._corners(level) for level in chain]
         counts = share_out(self.n_features, [len(score) for _, score in found], self.quota_decay)
         parts = []
         for level, (xy, score), count in zip(chain, found, counts, strict=True):
-            at = xy[:count]
-            moved, stable = self._subpixel(level, at)
-            view = self._edges(level)
-            if self.centroid == "amplitude":
-                view = despeckled_bytes_around(level, at, ORIENTATION_RADIUS)
-            parts.append(
-                (to_base(moved, level, image), orientation(view, at, ORIENTATION_RADIUS), score[:count], stable)
-            )
-        places, angle, score, stable = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+            moved, stable = self._subpixel(level, xy[:count])
+            parts.append((to_base(moved, level, image), score[:count], stable))
+        places, score, stable = (np.concatenate(columns) for columns in zip(*parts, strict=True))
         scales = [self.support * math.sqrt(image.mask.size / level.mask.size) for level in chain]
         order = np.argsort(255 - score, kind="stable")
         return Features(
             xy=places[order],
             scale=np.repeat(scales, counts)[order],
-            angle=angle[order],
+            angle=np.zeros(len(order)),
             score=score[order],
             level=np.repeat(np.arange(first, first + len(chain)), counts)[order],
             subpixel=stable[order],
         )
+
+    def oriented(self, image: Image, features: Features) -> Features:
+        """With the direction to the centroid of the disc around the pixel on which a keypoint falls on its level."""
+        angle = np.zeros(len(features))
+        chain = pyramid(image, int(features.level.max(initial=0)) + 1, self.factor)
+        for number in np.flatnonzero(np.bincount(features.level, minlength=len(chain))).tolist():
+            level, of_level = chain[number], features.level == number
+            at = np.rint(from_base(features.xy[of_level], level, image)).astype(np.int64)
+            if self.centroid == "amplitude":
+                view = despeckled_bytes_around(level, at, ORIENTATION_RADIUS)
+            else:
+                view = self._edges(level)
+            angle[of_level] = orientation(view, at, ORIENTATION_RADIUS)
+        return replace(features, angle=angle)
 
     def _skipped(self, image: Image) -> int:
         """How many of the finest levels are not searched: none for which there is no coarser one instead."""

@@ -195,6 +195,17 @@ def test_impossible_parameters_are_refused_when_the_detector_is_made(parameters:
         registry.create("detector", "sar-ofast", **parameters)
 
 
+@pytest.mark.parametrize("centroid", ["amplitude", "edges"])
+def test_directions_of_some_keypoints_are_those_of_all(sar_texture: Texture, centroid: str) -> None:
+    picture = as_image(sar_texture(200, 220))
+    detector = registry.create("detector", "sar-ofast", n_features=300, levels=3, centroid=centroid)
+    found, places = detector.detect_features(picture), detector.detect_places(as_image(sar_texture(200, 220)))
+    np.testing.assert_array_equal(places.xy, found.xy)
+    rows = np.arange(0, len(found), 7)
+    assert len(np.unique(found.angle)) > 200
+    np.testing.assert_array_equal(detector.oriented(picture, places.take(rows)).angle, found.angle[rows])
+
+
 # Levels that are not searched
 
 
