@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Annotated, Self
+from types import MappingProxyType
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 from annotated_types import Ge, Interval
@@ -32,8 +34,9 @@ F32 = NDArray[np.float32]
 
 # A scale is computed on the coarsest halving of the image on which its alpha is at least so many pixels.
 COARSEST_GRID = 1.25
-# Pixels of the image for each keypoint asked for, from which on every other scale has more than enough corners.
-PLENTY = 50
+# Pixels of the image for each keypoint asked for, from which on every other scale has more than enough corners, and
+# from which on those do whose gradients are not mostly speckle.
+PLENTY, ABUNDANT = 50, 140
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +72,8 @@ class SarHarris(Detector):
     finest : least alpha of the gradients from which an orientation is taken
     subscale : interpolate the scale between neighbouring ones by a parabola through the responses
     thin : leave every other scale out of images with at least 50 valid pixels for each keypoint asked for
+    coarse : leave the scales finer than `finest` out of images with at least 140 valid pixels for each keypoint, and
+        as many so far from the border that corners of `finest` are found there
     second : another peak of the histogram of directions of at least this share of the highest makes a further keypoint
         at the same place; 1: none does
 
@@ -89,8 +94,12 @@ class SarHarris(Detector):
     Neighbouring scales find many corners twice. Where there are more than enough of them (`thin`), every other scale
     gives as many correct matches in a fifth to a half more places, for half of the work; small images need all.
     How many valid pixels they have decides, and the smaller of a pair for both (`for_pair`): were only one of them
-    thinned, a fifth of the matches would be lost.
+    thinned, a fifth of the matches would be lost. Where few keypoints are asked of many pixels (`coarse`), corners of
+    the finest scales are mostly speckle's: without them a fifth to a quarter more matches are correct on single and
+    four looks, in four fifths of the time, and 3 % less exact before they are measured again. Not in blocks.
     """
+
+    block_parameters: ClassVar[Mapping[str, Any]] = MappingProxyType({"coarse": False})
 
     n_features: Count = 5000
     scales: Count = 8
@@ -105,6 +114,7 @@ class SarHarris(Detector):
     finest: Positive = 2.0
     subscale: bool = True
     thin: bool = True
+    coarse: bool = True
     second: Annotated[float, Interval(gt=0, le=1)] = 1.0
 
     @property
@@ -114,7 +124,9 @@ class SarHarris(Detector):
 
     def for_pair(self, reference: Image, secondary: Image) -> Self:
         """With all scales where the smaller of the images needs them."""
-        return self if self._plenty(reference) == self._plenty(secondary) else replace(self, thin=False)
+        thin = self._plenty(reference) == self._plenty(secondary)
+        coarse = self._abundant(reference) == self._abundant(secondary)
+        return self if thin and coarse else replace(self, thin=self.thin and thin, coarse=self.coarse and coarse)
 
     def detect_features(self, image: Image) -> Features:
         return self.oriented(image, self.detect_places(image))
@@ -127,7 +139,8 @@ class SarHarris(Detector):
 
     def _places(self, image: Image) -> Features:
         step = 2 if self.thin and self._plenty(image) else 1
-        layers = [self._layer(image, number) for number in range(0, self.scales, step)]
+        first = self._first() if self.coarse and self._abundant(image) else 0
+        layers = [self._layer(image, number) for number in range(first, self.scales, step)]
         counts = share_out(self.n_features, [len(layer.maxima) for layer in layers], self.quota_decay**step)
         parts = []
         for k, (layer, count) in enumerate(zip(layers, counts, strict=True)):
@@ -162,6 +175,18 @@ class SarHarris(Detector):
 
     def _plenty(self, image: Image) -> bool:
         return bool(np.count_nonzero(image.mask) >= PLENTY * self.n_features)
+
+    def _abundant(self, image: Image) -> bool:
+        """As `_plenty`, of pixels so far from the border that corners of `finest` are found there."""
+        border = 2 * math.ceil(self.support * self.finest)
+        inner = max(0, image.shape[0] - border) * max(0, image.shape[1] - border)
+        return min(inner, int(np.count_nonzero(image.mask))) >= ABUNDANT * self.n_features
+
+    def _first(self) -> int:
+        """Number of the first scale that is not finer than `finest`, or of the last one."""
+        return min(
+            max(0, math.ceil(math.log(self.finest / self.alpha) / math.log(self.factor) - 1e-6)), self.scales - 1
+        )
 
     def _layer(self, image: Image, number: int) -> _Layer:
         alpha = self.alpha * self.factor**number

@@ -237,7 +237,7 @@ PRESETS: dict[str, Preset] = {
         common_rotation=False,
     ),
     "sar-sift": Preset(
-        "SAR-Harris corners of ratio gradients, ratio GLOH descriptors in one common direction, GMS, FSC",
+        "SAR-Harris corners of ratio gradients, ratio DAISY descriptors in one common direction, GMS, FSC",
         detector=Part("sar-harris"),
         descriptor=Part("ratio-daisy"),
         nearest=Part("brute-force"),
@@ -246,7 +246,8 @@ PRESETS: dict[str, Preset] = {
     "sar-sift-paper": Preset(
         "SAR-Harris and ratio descriptors as in Dellinger et al. 2015, ratio test, RANSAC",
         detector=Part(
-            "sar-harris", {"alpha": 2.0, "integration": 2**0.5, "quota_decay": 1.0, "thin": False, "second": 0.8}
+            "sar-harris",
+            {"alpha": 2.0, "integration": 2**0.5, "quota_decay": 1.0, "thin": False, "coarse": False, "second": 0.8},
         ),
         descriptor=Part("ratio-gloh", {"soft": False, "harmonics": 4}),
         nearest=Part("brute-force", {"mutual": False, "ratio": 0.8}),
@@ -256,7 +257,7 @@ PRESETS: dict[str, Preset] = {
         common_rotation=False,
     ),
     "s-gof": Preset(
-        "SAR-Harris corners, odd-Gabor ratio descriptors of one scale in one common direction, GMS, FSC",
+        "SAR-Harris corners, odd-Gabor ratio DAISY descriptors of one scale in one common direction, GMS, FSC",
         detector=Part("sar-harris"),
         descriptor=Part("gabor-daisy"),
         nearest=Part("brute-force"),
@@ -273,7 +274,7 @@ PRESETS: dict[str, Preset] = {
         common_rotation=False,
     ),
     "m-gof": Preset(
-        "SAR-Harris corners, odd-Gabor ratio descriptors of four scales in one common direction, GMS, FSC",
+        "SAR-Harris corners, odd-Gabor ratio DAISY descriptors of four scales in one common direction, GMS, FSC",
         detector=Part("sar-harris"),
         descriptor=Part("gabor-daisy", _MULTI_SCALE),
         nearest=Part("brute-force"),

@@ -443,3 +443,19 @@ def test_the_angle_of_a_point_turns_with_the_image(sar_texture: Texture) -> None
     turn = second.angle[partner[rows]] - first.angle[rows]
     off = np.abs((turn - math.pi / 2 + math.pi) % (2 * math.pi) - math.pi)
     assert (off < math.radians(10)).mean() > 0.85
+
+
+def test_few_keypoints_of_a_large_image_are_none_of_the_finest_scales(sar_texture: Texture) -> None:
+    """Scales finer than `finest` are left out, in both images of a pair or in neither; small images keep all."""
+    large, small = as_image(sar_texture(300, 300)), as_image(sar_texture(120, 120))
+    detector = registry.create("detector", "sar-harris", n_features=100)
+    levels = {name: set(found.level.tolist()) for name, found in {
+        "large": detector.detect_features(large),
+        "many": registry.create("detector", "sar-harris", n_features=1000).detect_features(large),
+        "small": detector.detect_features(small),
+        "asked": registry.create("detector", "sar-harris", n_features=100, coarse=False).detect_features(large),
+        "pair": detector.for_pair(large, small).detect_features(large),
+    }.items()}  # fmt: skip
+    assert min(levels["large"]) == 3
+    assert {min(levels[name]) for name in ("many", "small", "asked", "pair")} == {0}
+    assert detector.for_pair(large, large) is detector
