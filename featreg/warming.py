@@ -22,6 +22,7 @@ SHAPE = (200, 200)
 DEFAULT = (
     "featreg.products.resample_kernels",
     "featreg.geometry.correlated_kernels",
+    "featreg.geometry.prediction_kernels",
     "featreg.geometry.reweighting_kernels",
     "featreg.geometry.robust_kernels",
     "featreg.pipeline.agreement_kernels",

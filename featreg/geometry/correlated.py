@@ -91,58 +91,22 @@ def correlated_covariance(
 
 def correlated_prediction(known: Linearised) -> Predicted | FailedFit:
     """Return `correlated_covariance` of a fit that was made linear."""
-    from featreg.geometry.correlated_kernels import estimators
+    from featreg.geometry import prediction_kernels as kernels
 
-    place, variance, weight, number, mean, design = _gathered(known)
-    count, points = design.shape[2], len(known.at)
-    dof = 2 * len(place) - count
-    if dof < 1:
-        return FailedFit(f"tie points in {len(place)} places leave no degree of freedom beside {count} parameters")
-    estimator = np.empty((count, len(place), 2))
-    if not estimators(weight, design, LEAST_PIVOT, estimator):
+    count = known.design.shape[2]
+    covariance, numbers = np.empty((len(known.at), 2, 2)), np.empty(4)
+    found = kernels.predicted(
+        known.here, known.error, known.weights, known.design, known.at, CELLS, np.array(LENGTHS), np.array(SHARED),
+        MIXTURES, LEAST_PIVOT, Z95, 0.05, covariance, numbers,
+    )  # fmt: skip
+    places, dof, length, sigma = numbers.tolist()
+    if found == kernels.NO_FREEDOM:
+        return FailedFit(f"tie points in {places:.0f} places leave no degree of freedom beside {count} parameters")
+    if found == kernels.UNDETERMINED:
         return FailedFit(f"the tie points do not determine the {count} parameters")
-    side = float(np.ptp(known.here, axis=0).max())
-    lengths, parts, own, shared = _candidates(place, variance, weight, number, side)
-    # How much a shift of each cell along each axis moves each mapped point along each axis: (N, 2, 2, C).
-    moved = known.at.reshape(-1, count) @ estimator.reshape(count, -1)
-    weighing = np.ascontiguousarray(moved.reshape(points, 2, -1, 2).transpose(0, 1, 3, 2))
-    rows = weighing.reshape(points, 2, -1)
-    lines = weighing.reshape(-1, len(place))
-    both = np.concatenate([design, mean[:, :, None]], axis=2)
-    made = _whitened(own, shared, both, lines.T @ lines)
-    if made is None:
+    if found == kernels.TOO_CLOSE:
         return FailedFit("the tie points lie too close together for any correlation of their errors")
-    left, logs, traces = made
-    variances = left / dof
-    if not variances.max() > 0:
-        return Predicted(np.zeros((points, 2, 2)), float(dof), 0.0, 0.0)
-    likelihood = -0.5 * (logs + dof * np.log(np.maximum(variances, 1e-30 * variances.max())))
-    share = np.exp(likelihood - likelihood.max())
-    # As likely beforehand: no correlation, and all candidates with one together.
-    share[1:] /= len(share) - 1
-    share /= share.sum()
-    chosen = share * variances
-    of_pairs = chosen[1:].reshape(len(shared), -1) @ SHARED
-    of_cells = (of_pairs @ shared.reshape(len(shared), -1)).reshape(len(place), len(place))
-    of_cells.flat[:: len(place) + 1] += own * chosen.sum()
-    covariance = (lines @ of_cells).reshape(rows.shape) @ rows.transpose(0, 2, 1)
-    each = variances * traces
-    middle = float(share @ each)
-    widened = _interval(each / middle, share) if middle > 0 else 1.0
-    return Predicted(
-        np.asarray(covariance) * widened**2,
-        float(dof),
-        float(share @ lengths),
-        float(np.sqrt(share @ (variances * (1 + parts)))),
-    )
-
-
-def _interval(variances: FloatArray, share: FloatArray) -> float:
-    """Standard deviation of the normal error whose 95 % interval is that of the mixture of these variances."""
-    from featreg.geometry.correlated_kernels import interval
-
-    likely = share > 1e-5
-    return interval(np.maximum(variances[likely], 1e-12), share[likely] / share[likely].sum(), Z95, 0.05)
+    return Predicted(covariance, dof, length, sigma)
 
 
 def prediction(
@@ -162,73 +126,3 @@ def prediction(
         return known
     squares = float((model.residuals(reference_xy, secondary_xy) ** 2).mean()) / 2
     return Predicted(known, GROUPS - 1, math.nan, math.sqrt(squares))
-
-
-def _gathered(
-    known: Linearised,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Gather tie points in cells.
-
-    Returns
-    -------
-    place, variance, weight, number, mean, design : (C, 2) px from the corner of their box, (C,) px^2 along either axis
-        of the places about it, (C,) sum, (C,) of independent ones of equal weight, (C, 2) px mean error, (C, 2, P) mean
-        derivatives
-    """
-    from featreg.geometry.correlated_kernels import gathered
-
-    low = known.here.min(axis=0)
-    side = max(float((known.here.max(axis=0) - low).max()), 1e-9) / CELLS
-    count = known.design.shape[2]
-    sums = np.empty((CELLS, CELLS, 7 + 2 * count))
-    gathered(known.here, known.error, known.design, known.weights, low, side, sums)
-    sums = sums.reshape(CELLS * CELLS, -1)
-    sums = sums[sums[:, 0] > 0]
-    total = np.ascontiguousarray(sums[:, 0])
-    mean = sums[:, 2:] / total[:, None]
-    place = mean[:, :2]
-    variance = np.maximum(mean[:, 2] - (place**2).sum(axis=1), 0) / 2
-    design = np.ascontiguousarray(mean[:, 5:]).reshape(len(total), 2, count)
-    return place, variance, total, total**2 / sums[:, 1], mean[:, 3:5], design
-
-
-def _candidates(
-    place: FloatArray, variance: FloatArray, weight: FloatArray, number: FloatArray, side: float
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """What the covariances of the cells' means may be.
-
-    The mean of a Gaussian function of the distance over two cells is taken as that of Gaussian clouds of their
-    variance, which has a closed form.
-
-    Returns
-    -------
-    lengths, parts : (K,) px, (K,) correlated over independent variance; no correlation first, then all shares of the
-        first of `shared`, and so on
-    own : (C,) variances without correlation
-    shared : (S, C, C) what is added for a share of 1
-    """
-    from featreg.geometry.correlated_kernels import shared_parts
-
-    distance = ((place[:, None] - place) ** 2).sum(axis=2)
-    tried = np.array(LENGTHS) * side
-    shared = np.empty((len(tried) * len(MIXTURES), len(place), len(place)))
-    shared_parts(distance, variance, 1 / number, tried, MIXTURES, shared)
-    lengths = np.append(0.0, np.repeat(tried, len(MIXTURES) * len(SHARED)))
-    parts = np.append(0.0, np.tile(SHARED, len(shared)))
-    return lengths, parts, 1 / weight, shared
-
-
-def _whitened(
-    own: FloatArray, shared: FloatArray, both: FloatArray, outer: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """Of each candidate (K,): the sum of squares of the errors that a fit leaves, its logarithms of determinants, the
-    sum of `outer` (C, C) times it, from the rows of `both` (C, 2, P + 1); None where one has no root."""
-    from featreg.geometry.correlated_kernels import whitened
-
-    many = 1 + len(shared) * len(SHARED)
-    left, logs = np.empty(many), np.empty(many)
-    if not whitened(own, shared, np.array(SHARED), both.reshape(len(own), -1), left, logs):
-        return None
-    alone = float(own @ outer.diagonal())
-    together = np.multiply.outer(shared.reshape(len(shared), -1) @ outer.ravel(), SHARED).ravel()
-    return left, logs, np.append(alone, alone + together)

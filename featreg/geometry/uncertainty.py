@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,11 @@ from featreg.types import FloatArray, IntArray
 FINEST_PX = 0.05
 #: Points determine a model where no pivot of its normal equations is less than so much of what it was.
 LEAST_PIVOT = 1e-12
+#: Models by whose matrices derivatives are compiled: the number by which `featreg.geometry.robust_kernels` knows each,
+#: and its parameters.
+COMPILED: Mapping[type[Model], tuple[int, int]] = {
+    Translation: (0, 2), Rigid: (1, 3), Similarity: (2, 4), Affine: (3, 6), Homography: (4, 8),
+}  # fmt: skip
 #: Parts of the points of which one after the other is left out of a fit.
 GROUPS = 16
 
@@ -262,6 +268,8 @@ def inverse_variances(covariance: FloatArray | None) -> FloatArray | None:
         return None
     variance = np.trace(covariance, axis1=1, axis2=2) / 2
     known = np.isfinite(variance)
+    if known.all() and len(known):
+        return np.asarray(1 / (variance + FINEST_PX**2))
     if not known.any():
         return None
     return np.asarray(1 / (np.where(known, variance, np.median(variance[known])) + FINEST_PX**2))
@@ -311,14 +319,28 @@ def linearised(
     if len(n.weights) < len(here):
         used = np.asarray(weights, np.float64) > 0
         here, there = here[used], there[used]
-    mapped = model(here)
+    design, mapped = _derived(model, np.ascontiguousarray(here), n)
     return Linearised(
         np.ascontiguousarray(here),
         np.asarray(there - mapped),
         n.weights,
-        np.ascontiguousarray(derivatives(model, here, n, mapped)),
-        np.ascontiguousarray(derivatives(model, points, n)),
+        design,
+        _derived(model, np.ascontiguousarray(points), n)[0],
     )
+
+
+def _derived(model: Model, xy: FloatArray, n: Normalised) -> tuple[FloatArray, FloatArray]:
+    """`derivatives` (N, 2, P) in one piece, and where the model maps the points (N, 2)."""
+    kind, count = COMPILED.get(type(model), (-1, 0))
+    if kind < 0 or model.matrix is None:
+        mapped = model(xy)
+        return np.ascontiguousarray(derivatives(model, xy, n, mapped)), mapped
+    from featreg.geometry.prediction_kernels import derived
+
+    out, mapped = np.empty((len(xy), 2, count)), np.empty(xy.shape)
+    unit = np.array([*n.reference_centre, *n.secondary_centre, n.reference_scale, n.secondary_scale])
+    derived(kind, model.matrix, xy, unit, mapped, out)
+    return out, mapped
 
 
 def derivatives(model: Model, xy: FloatArray, n: Normalised, mapped: FloatArray | None = None) -> FloatArray:

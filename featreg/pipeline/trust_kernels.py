@@ -1,4 +1,4 @@
-"""Compiled robust fits to parts of the tie points; `featreg.pipeline.trust_measures` says what they are for.
+"""Compiled counts of tie points and robust fits to parts of them; `featreg.pipeline.trust_measures` says what for.
 
 Kinds of models are those of `featreg.geometry.robust_kernels`.
 """
@@ -8,10 +8,44 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from featreg.geometry.reweighting_kernels import middle_of, reweighted, weighted_fit
 from featreg.runtime.jit import compiled
-from featreg.types import BoolArray, FloatArray
+from featreg.types import BoolArray, FloatArray, IntArray
+
+
+@compiled
+def _different(first: IntArray, second: IntArray, table: NDArray[np.int32]) -> int:
+    """How many different pairs two arrays (M,) hold; `table` (N,), N a power of two above 2 M, is overwritten."""
+    table[:] = 0
+    count, last = 0, np.uint64(table.shape[0] - 1)
+    for i in range(first.shape[0]):
+        # Knuth's multiplicative hashing, of two numbers; the upper bits depend on all.
+        mixed = np.uint64(first[i]) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(second[i])
+        at = ((mixed * np.uint64(0xD6E8FEB86659FD93)) >> np.uint64(32)) & last
+        while table[at] != 0 and (first[table[at] - 1] != first[i] or second[table[at] - 1] != second[i]):
+            at = (at + np.uint64(1)) & last
+        if table[at] == 0:
+            table[at] = i + 1
+            count += 1
+    return count
+
+
+@compiled
+def counted(here: FloatArray, there: FloatArray, side: float, out: IntArray) -> None:
+    """Fill out (3,): cells of `side` px that hold points (M, 2) `here`, those `there`, and different pairs of them."""
+    m, size = here.shape[0], 8
+    while size < 2 * m:
+        size *= 2
+    table = np.empty(size, np.int32)
+    first, second, nothing = np.empty(m, np.int64), np.empty(m, np.int64), np.zeros(m, np.int64)
+    for i in range(m):
+        # As `featreg.geometry.cells.cells` numbers them.
+        first[i] = np.int64(math.floor(here[i, 1] / side)) * (1 << 24) + np.int64(math.floor(here[i, 0] / side))
+        second[i] = np.int64(math.floor(there[i, 1] / side)) * (1 << 24) + np.int64(math.floor(there[i, 0] / side))
+    out[0], out[1] = _different(first, nothing, table), _different(second, nothing, table)
+    out[2] = _different(first, second, table)
 
 
 @compiled

@@ -19,7 +19,6 @@ from featreg.geometry import (
     local_linear,
     prediction,
 )
-from featreg.geometry.cells import cells
 from featreg.geometry.robust import KINDS, MEDIAN_LENGTH, TUKEY, irls
 from featreg.geometry.uncertainty import Linearised, left_out_covariance, linearised
 from featreg.interfaces import FailedFit, Model
@@ -27,8 +26,6 @@ from featreg.types import BoolArray, FloatArray, IntArray, Matches
 
 # Side in px of the cells in which tie points are counted once.
 DISTINCT_PX = 6.0
-# Two numbers of cells below this fit in one of 64 bits.
-PAIRED = math.isqrt((1 << 63) - 1)
 # Places along each side of an image at which a model is judged.
 FIFTHS = np.linspace(0.0, 1.0, 5)
 # Regions along each side of the tie points' bounding box that are left out in turn.
@@ -44,13 +41,18 @@ SCALE_PX, HELD_OUT_ROUNDS = 0.3, 3
 
 def distinct(reference_xy: FloatArray, secondary_xy: FloatArray) -> int:
     """Number of tie points once those that share a cell of 6 px, in either image, count as one."""
-    return min(_different(cells(xy, DISTINCT_PX)) for xy in (reference_xy, secondary_xy))
+    here, there, _ = _counted(reference_xy, secondary_xy)
+    return min(here, there)
 
 
-def _different(numbers: IntArray) -> int:
-    """How many different numbers there are."""
-    ranked = np.sort(numbers)
-    return int(np.count_nonzero(ranked[1:] != ranked[:-1])) + 1 if len(ranked) else 0
+def _counted(reference_xy: FloatArray, secondary_xy: FloatArray) -> tuple[int, int, int]:
+    """Cells of 6 px of the reference that hold a tie point, those of the secondary, and different pairs of them."""
+    from featreg.pipeline import trust_kernels as kernels
+
+    out = np.empty(3, np.int64)
+    kernels.counted(np.ascontiguousarray(reference_xy), np.ascontiguousarray(secondary_xy), DISTINCT_PX, out)
+    here, there, pairs = out.tolist()
+    return here, there, pairs
 
 
 def log10_chance(
@@ -80,27 +82,17 @@ def log10_chance(
     if not kept.any():
         return 0.0
     here, there = matches.reference_xy[kept], matches.secondary_xy[kept]
-    n = _moves(matches.reference_xy[putative], matches.secondary_xy[putative])
-    k = min(_moves(here, there), distinct(here, there))
+    if putative.all():
+        n = _counted(matches.reference_xy, matches.secondary_xy)[2]
+    else:
+        n = _counted(matches.reference_xy[putative], matches.secondary_xy[putative])[2]
+    k = min(_counted(here, there))
     m = model.minimum
     if k <= m:
         return 0.0
     reach = max(3.0, _quantile(model.residuals(here, there), 0.95))
     p = min(1.0, math.pi * (reach + DISTINCT_PX / 2) ** 2 / (secondary_shape[0] * secondary_shape[1]))
     return math.log10(max(n - m, 1)) + _log10_choose(n, k) + _log10_choose(k, m) + (k - m) * math.log10(p)
-
-
-def _moves(reference_xy: FloatArray, secondary_xy: FloatArray) -> int:
-    """Number of distinct (reference cell, secondary cell) pairs."""
-    here, there = (cells(xy, DISTINCT_PX) for xy in (reference_xy, secondary_xy))
-    if not len(here):
-        return 0
-    low, high = (min(here.min(), there.min()), max(here.max(), there.max()))
-    if high - low < PAIRED:
-        return _different((here - low) * PAIRED + (there - low))
-    order = np.lexsort([here, there])
-    here, there = here[order], there[order]
-    return int(np.count_nonzero((here[1:] != here[:-1]) | (there[1:] != there[:-1]))) + 1
 
 
 def _quantile(values: FloatArray, share: float) -> float:

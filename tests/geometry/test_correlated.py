@@ -10,15 +10,20 @@ from numpy.typing import NDArray
 
 from featreg.geometry import (
     Affine,
+    Homography,
     Polynomial2,
     ResidualField,
     Rigid,
+    Similarity,
     Translation,
     correlated_covariance,
     prediction,
     prediction_covariance,
 )
-from featreg.geometry.correlated import _interval
+from featreg.geometry.base import normalise
+from featreg.geometry.correlated import EXPONENTIAL, LENGTHS, SHARED, correlated_prediction
+from featreg.geometry.correlated_kernels import estimators, gathered, group_normals, interval
+from featreg.geometry.uncertainty import derivatives, linearised
 from featreg.interfaces import Model
 from featreg.registry import model_class
 
@@ -117,43 +122,97 @@ def test_what_cannot_be_told_is_said() -> None:
     assert np.abs(still.covariance).max() < 1e-15
 
 
-def test_compiled_candidates_are_the_formulas() -> None:
-    """Covariances of the cells' means, their roots and what these whiten, written out in whole arrays."""
-    from featreg.geometry.correlated import EXPONENTIAL, LENGTHS, SHARED, _candidates, _whitened
-
-    rng = np.random.default_rng(0)
-    place, variance = rng.uniform(0, SIZE, (30, 2)), rng.uniform(50, 900, 30)
-    weight, number = rng.uniform(1, 20, 30), rng.uniform(1, 20, 30)
-    lengths, parts, own, shared = _candidates(place, variance, weight, number, SIZE)
+def candidates_of(place: Floats, variance: Floats, weight: Floats, number: Floats, side: float) -> Floats:
+    """(K, C, C) what the covariances of the cells' means may be, written out in whole arrays."""
     distance, blur = ((place[:, None] - place) ** 2).sum(axis=2), variance[:, None] + variance
     made = [np.diag(1 / weight)]
     for length in LENGTHS:
         for mixture in (((1.0, 1.0),), EXPONENTIAL):
-            common = np.zeros((30, 30))
+            common = np.zeros(distance.shape)
             for share, width in mixture:
-                square = (width * length * SIZE) ** 2
+                square = (width * length * side) ** 2
                 common += share * square / (square + blur) * np.exp(-0.5 * distance / (square + blur))
             np.fill_diagonal(common, 1 / number + (1 - 1 / number) * common.diagonal())
             made += [np.diag(1 / weight) + part * common for part in SHARED]
-    candidates = np.stack(made)
-    assert len(lengths) == len(parts) == len(candidates)
-    both, outer = rng.normal(size=(30, 2, 5)), rng.normal(size=(30, 30))
-    found = _whitened(own, shared, both, outer)
-    assert found is not None
+    return np.stack(made)
+
+
+def whitened_by(candidates: Floats, both: Floats) -> tuple[Floats, Floats]:
+    """What `featreg.geometry.correlated_kernels.whitened` fills, for candidates (K, C, C) and (C, 2, P + 1)."""
     root = np.linalg.cholesky(candidates)
-    white = np.linalg.solve(root, both.reshape(1, 30, -1)).reshape(len(root), -1, 5)
+    last = both.shape[2] - 1
+    white = np.linalg.solve(root, both.reshape(1, len(both), -1)).reshape(len(root), -1, last + 1)
     squares = white.transpose(0, 2, 1) @ white
-    information, moment = squares[:, :4, :4], squares[:, :4, 4]
-    left = squares[:, 4, 4] - (np.linalg.solve(information, moment[:, :, None])[:, :, 0] * moment).sum(axis=1)
-    np.testing.assert_allclose(found[0], left, rtol=1e-9)
+    information, moment = squares[:, :last, :last], squares[:, :last, last]
+    left = squares[:, last, last] - (np.linalg.solve(information, moment[:, :, None])[:, :, 0] * moment).sum(axis=1)
     logs = 4 * np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1) + np.linalg.slogdet(information)[1]
-    np.testing.assert_allclose(found[1], logs, rtol=1e-9)
-    np.testing.assert_allclose(found[2], np.tensordot(candidates, outer, 2), rtol=1e-9)
+    return left, logs
+
+
+@pytest.mark.parametrize("kind", [Translation, Rigid, Similarity, Affine, Homography, Polynomial2])
+def test_the_compiled_prediction_is_the_mixture_of_all_candidates(kind: type[Model]) -> None:
+    rng = np.random.default_rng(7)
+    here = rng.uniform(0, SIZE, (150, 2))
+    weights = rng.uniform(0.5, 2, len(here))
+    there = here + 3 + rng.normal(0, 0.5, here.shape) + 0.5 * np.sin(here / 90)
+    model = kind.from_estimate(here, there, weights)
+    assert model
+    known = linearised(model, here, there, weights, at=GRID)
+    assert known
+    found = correlated_prediction(known)
+    assert found
+
+    low, side = here.min(axis=0), float(np.ptp(here, axis=0).max())
+    column, row = np.minimum((here - low) / (side / 6), 5).astype(np.int64).T
+    cells = [np.flatnonzero(row * 6 + column == g) for g in np.unique(row * 6 + column)]
+    weight = np.array([known.weights[one].sum() for one in cells])
+    number = weight**2 / [(known.weights[one] ** 2).sum() for one in cells]
+    flat = np.column_stack([here, known.error, known.design.reshape(len(here), -1)])
+    mean = np.stack([known.weights[one] @ flat[one] for one in cells]) / weight[:, None]
+    place, error, design = mean[:, :2], mean[:, 2:4], mean[:, 4:].reshape(len(cells), 2, -1)
+    variance = np.array(
+        [known.weights[one] @ ((here[one] - at) ** 2).sum(axis=1) for one, at in zip(cells, place, strict=True)]
+    )
+    candidates = candidates_of(place, variance / weight / 2, weight, number, side)
+    left, logs = whitened_by(candidates, np.concatenate([design, error[:, :, None]], axis=2))
+    dof = 2 * len(cells) - design.shape[2]
+    likelihood = -0.5 * (logs + dof * np.log(left / dof))
+    share = np.exp(likelihood - likelihood.max())
+    share[1:] /= len(share) - 1
+    share /= share.sum()
+    rows, each = design.reshape(-1, design.shape[2]), np.repeat(weight, 2)
+    estimator = np.linalg.solve(rows.T @ (rows * each[:, None]), (rows * each[:, None]).T)
+    moved = known.at @ estimator
+    covariances = [moved @ np.kron(one, np.eye(2)) @ moved.transpose(0, 2, 1) for one in candidates]
+    each = left / dof * np.array([np.trace(one.sum(axis=0)) for one in covariances])
+    likely = share > 1e-5
+    widened = _interval(each[likely] / (share @ each), share[likely] / share[likely].sum())
+    wanted = np.tensordot(share * left / dof, np.stack(covariances), 1) * widened**2
+    np.testing.assert_allclose(found.covariance, wanted, rtol=1e-7, atol=1e-9 * np.abs(wanted).max())
+    assert found.dof == dof
+    lengths = np.append(0.0, np.repeat(np.array(LENGTHS) * side, 2 * len(SHARED)))
+    assert found.length == pytest.approx(float(share @ lengths), rel=1e-9)
+    parts = np.append(0.0, np.tile(SHARED, 2 * len(LENGTHS)))
+    assert found.sigma == pytest.approx(math.sqrt(share @ (left / dof * (1 + parts))), rel=1e-9)
+
+
+@pytest.mark.parametrize("kind", [Translation, Rigid, Similarity, Affine, Homography])
+def test_compiled_derivatives_are_those_of_whole_arrays(kind: type[Model]) -> None:
+    rng = np.random.default_rng(8)
+    here = rng.uniform(0, SIZE, (40, 2))
+    there = 1.02 * here + rng.normal(0, 2, here.shape)
+    model = kind.from_estimate(here, there)
+    assert model
+    known = linearised(model, here, there, at=GRID)
+    n = normalise(here, there, None, model.minimum, spread=False)
+    assert known
+    assert n
+    np.testing.assert_allclose(known.design, derivatives(model, here, n), rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(known.at, derivatives(model, GRID, n), rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(known.error, there - model(here), atol=1e-10)
 
 
 def test_compiled_estimators_are_those_of_the_normal_equations() -> None:
-    from featreg.geometry.correlated_kernels import estimators
-
     rng = np.random.default_rng(1)
     design, weight, found = rng.normal(size=(9, 2, 4)), rng.uniform(1, 5, 9), np.empty((4, 9, 2))
     assert estimators(weight, design, 1e-12, found)
@@ -177,8 +236,6 @@ def test_models_without_derivatives_are_fitted_anew() -> None:
 
 
 def test_compiled_sums_are_those_of_each_group() -> None:
-    from featreg.geometry.correlated_kernels import gathered, group_normals
-
     rng = np.random.default_rng(6)
     here, weights = rng.uniform(10, 130, (90, 2)), rng.uniform(0.5, 2, 90)
     design, error = rng.normal(size=(90, 2, 6)), rng.normal(size=(90, 2))
@@ -198,6 +255,10 @@ def test_compiled_sums_are_those_of_each_group() -> None:
         rows = design[mine].reshape(-1, 6)
         np.testing.assert_allclose(normal[g], rows.T @ rows, atol=1e-12)
         np.testing.assert_allclose(moment[g], rows.T @ error[mine].ravel(), atol=1e-12)
+
+
+def _interval(variances: Floats, share: Floats) -> float:
+    return interval(variances, share, 1.959964, 0.05)
 
 
 def test_the_interval_of_a_mixture_holds_95_percent() -> None:

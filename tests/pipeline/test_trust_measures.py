@@ -72,9 +72,11 @@ def test_what_a_freer_model_does_beyond_another(kind: type[Model], freer: type[M
 def test_distinct_moves_are_counted_however_far_they_go(far: float) -> None:
     here, there = (np.round(xy / 40) * 40 for xy in tie_points())
     there[0] = -far, far
-    pairs = np.column_stack([cells(xy, measures.DISTINCT_PX) for xy in (here, there)])
-    assert measures._moves(here, there) == len(np.unique(pairs, axis=0)) < len(here)
-    assert measures._moves(here[:0], there[:0]) == 0
+    numbers = [cells(xy, measures.DISTINCT_PX) for xy in (here, there)]
+    wanted = *(len(np.unique(one)) for one in numbers), len(np.unique(np.column_stack(numbers), axis=0))
+    assert measures._counted(here, there) == wanted
+    assert wanted[2] < len(here)
+    assert measures._counted(here[:0], there[:0]) == (0, 0, 0)
     values = np.random.default_rng(0).normal(size=37)
     for share in (0.0, 0.5, 0.95, 1.0):
         assert measures._quantile(values, share) == pytest.approx(np.quantile(values, share), abs=1e-12)
