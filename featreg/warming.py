@@ -27,6 +27,7 @@ DEFAULT = (
     "featreg.geometry.robust_kernels",
     "featreg.pipeline.agreement_kernels",
     "featreg.pipeline.identical_kernels",
+    "featreg.sar.bridging_kernels",
     "featreg.sar.keypoints.binary_kernels",
     "featreg.sar.keypoints.corner_kernels",
     "featreg.sar.correlation_kernels",

@@ -67,6 +67,8 @@ def _gaps(invalid: BoolArray) -> BoolArray:
     """Invalid pixels that belong to no wide hole, and around which enough is valid."""
     import cv2
 
+    if not _has_narrow(invalid):
+        return np.zeros(invalid.shape, np.bool_)
     side, pad = GAP + 1, 2 * GAP
     holes = cv2.copyMakeBorder(invalid.view(np.uint8), pad, pad, pad, pad, cv2.BORDER_CONSTANT, value=1)
     wide = cv2.morphologyEx(holes, cv2.MORPH_OPEN, np.ones((side, side), np.uint8))
@@ -87,6 +89,24 @@ def _gaps(invalid: BoolArray) -> BoolArray:
         inside = cv2.blur(np.ones_like(valid), box, borderType=cv2.BORDER_CONSTANT)
         gaps &= share >= np.float32(LEAST_SHARE) * inside
     return np.asarray(gaps, np.bool_)
+
+
+def _has_narrow(invalid: BoolArray) -> bool:
+    """Whether some invalid pixel lies in no square of GAP + 1 px that is invalid, as is all beyond the image."""
+    from featreg.sar.bridging_kernels import has_narrow
+
+    height, width = invalid.shape
+    # As many pixels beyond each border as hold a square beside it, in words of 64.
+    pad = 2 * GAP
+    words = np.full((height + 2 * pad, -(-(width + 2 * pad) // 64)), -1, np.int64)
+    rows = words.view(np.uint8).reshape(len(words), -1)
+    packed = np.packbits(invalid, axis=1, bitorder="little")
+    first = pad // 8
+    last = first + packed.shape[1]
+    rows[pad:-pad, first:last] = packed
+    if width % 8:
+        rows[pad:-pad, last - 1] |= np.uint8(0xFF << width % 8 & 0xFF)
+    return has_narrow(words.view(np.uint64), np.empty(words.shape, np.uint64))
 
 
 def _around(values: F32, valid: BoolArray) -> F32:

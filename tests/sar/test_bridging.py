@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 import featreg
 from featreg.sar.absurd import absurd_samples, fill_hint
-from featreg.sar.bridging import GAP, bridged, on_samples
+from featreg.sar.bridging import GAP, _has_narrow, bridged, on_samples
 from featreg.types import Image, Matches
 
 SHAPE = (120, 150)
@@ -140,3 +141,22 @@ def test_what_looks_like_a_fill_is_named() -> None:
     power = samples**2
     power[:, :40] = 9999
     assert "hold 9999" in fill_hint(featreg.as_image(power, scale="intensity"), "reference")
+
+
+def test_narrow_gaps_are_those_that_an_opening_takes_away() -> None:
+    rng = np.random.default_rng(3)
+    told = []
+    for i in range(60):
+        height, width = rng.integers(1, 200, 2).tolist()
+        invalid = np.zeros((height, width), np.uint8)
+        for _ in range(rng.integers(0, 4)):
+            x, y = rng.integers(-20, width), rng.integers(-20, height)
+            invalid[max(y, 0) : max(y + rng.integers(1, 60), 0), max(x, 0) : max(x + rng.integers(1, 60), 0)] = 1
+        if i % 3 == 0:
+            turn = cv2.getRotationMatrix2D((width / 2, height / 2), float(rng.uniform(-40, 40)), 1)
+            invalid = 1 - cv2.warpAffine(np.ones((height, width), np.uint8), turn, (width, height))
+        around = cv2.copyMakeBorder(invalid, 32, 32, 32, 32, cv2.BORDER_CONSTANT, value=1)
+        opened = cv2.morphologyEx(around, cv2.MORPH_OPEN, np.ones((17, 17), np.uint8))
+        told.append(_has_narrow(invalid > 0))
+        assert told[-1] == bool((opened != around).any())
+    assert 10 < sum(told) < 50
