@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from featreg.geometry import Affine
 from featreg.geometry.robust import irls
+from featreg.geometry.uncertainty import inverse_variances
 from featreg.interfaces import FailedFit, Filter, FilterContext, Matcher, Model
 from featreg.io.excerpt import Excerpt, together
 from featreg.io.raster_files import unchanged
@@ -22,7 +23,15 @@ from featreg.pipeline.frame import Frame, frame_of, linear_at
 from featreg.pipeline.inputs import local_scale
 from featreg.pipeline.locate import Locate
 from featreg.pipeline.refine import Refine
-from featreg.pipeline.steps import ROUNDS, SCALE_PX, filtered, survivors
+from featreg.pipeline.steps import (
+    LEAST_LOCATED,
+    LOCATED_SCALE_PX,
+    NEAR_PX,
+    ROUNDS,
+    SCALE_PX,
+    filtered,
+    survivors,
+)
 from featreg.runtime.timing import collecting, stage
 from featreg.sar.bridging import bridged, on_samples
 from featreg.scene.blocks import Block, proportional_part
@@ -185,14 +194,16 @@ def _matched(job: Job, prior: Prior, block: Block) -> BlockResult:
     located, refined, candidates = Matches.empty(), Matches.empty(), 0
     if job.locate is not None or job.refine is not None:
         kept = np.flatnonzero(survivors(stages, len(found)))
-        local = _local_model(prior, here, there, frame, found.take(kept))
+        local, near = _local_model(prior, here, there, frame, found.take(kept)), False
         if job.locate is not None and local is not None:
             with stage("locate"):
                 seen_at = job.locate.run(reference, secondary, local, found, kept)
                 located = _moved(seen_at if frame is None else frame.back(seen_at), here, there, seen_at.origin)
+                measured = measured_model(local, seen_at, len(kept))
+                local, near = (local, False) if measured is None else (measured, True)
         if job.refine is not None and local is not None:
             with stage("refine"):
-                seen = job.refine.run(reference, secondary, local, Matches.empty(), REFINED)
+                seen = job.refine.run(reference, secondary, local, Matches.empty(), REFINED, near=near)
                 refined = seen.matches if frame is None else frame.back(seen.matches)
                 refined, candidates = _moved(refined, here, there), seen.candidates
                 refined = refined.take(np.flatnonzero(block.window.holds(refined.reference_xy)))
@@ -286,6 +297,20 @@ def _local_model(prior: Prior, here: Window, there: Window, frame: Frame | None,
         return None
     off = np.median(kept.secondary_xy - linear(kept.reference_xy), axis=0)
     return Affine(linear.coefficients + np.column_stack([np.zeros((2, 2)), off]))
+
+
+def measured_model(local: Affine, located: Matches, count: int) -> Affine | None:
+    """The affine map of a block by its located tie points near its first one; None where of `count` these are few."""
+    if located.covariance is None:
+        return None
+    near = located.take(np.flatnonzero(local.residuals(located.reference_xy, located.secondary_xy) <= NEAR_PX))
+    if len(near) < max(LEAST_AFFINE, LEAST_LOCATED * count) or near.covariance is None:
+        return None
+    model, _ = irls(
+        Affine, near.reference_xy, near.secondary_xy, weights=inverse_variances(near.covariance),
+        scale_px=LOCATED_SCALE_PX, iterations=ROUNDS,
+    )  # fmt: skip
+    return None if isinstance(model, FailedFit) else model
 
 
 def _linear_prior(prior: Prior, here: Window, there: Window, frame: Frame | None) -> Affine | None:

@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 
 import featreg
 from featreg.errors import CancelledError, InputError, NoOverlapError, ParameterError
+from featreg.geometry import Affine
 from featreg.interfaces import Filter, FilterContext, Matcher
 from featreg.io import as_image
 from featreg.io.raster_source import Window
 from featreg.results.registration import Registration
 from featreg.scene.blocks import Block, plan_blocks, spread_out
 from featreg.scene.prior import Prior
-from featreg.scene.task import columns_of, from_columns, run_block, search_window, skip_reason
+from featreg.scene.task import columns_of, from_columns, measured_model, run_block, search_window, skip_reason
 from featreg.simulate import sar_pair
 from featreg.types import BoolArray, Image, Matches
 
@@ -431,3 +432,20 @@ def test_a_job_is_small_and_a_block_result_survives_its_columns(located_pair: An
     assert back.window == got.window
     assert np.array_equal(back.matches.secondary_xy, got.matches.secondary_xy)
     assert np.array_equal(back.refined.covariance, got.refined.covariance)  # type: ignore[arg-type]
+
+
+def test_the_model_of_a_block_is_measured_where_located_points_are_many() -> None:
+    rng = np.random.default_rng(5)
+    matrix = np.array([[1.01, 0.02, 5.0], [-0.02, 0.99, -3.0]])
+    truth, rough = Affine(matrix), Affine(matrix + np.array([[0, 0, 0.8], [0, 0, -0.6]]))
+    here = rng.uniform(0, 600, (200, 2))
+    there = truth(here) + rng.normal(0, 0.1, here.shape)
+    there[:40] += rng.uniform(5, 50, (40, 2))  # wrong matches stay wrong
+    covariance = np.tile(0.01 * np.eye(2), (200, 1, 1))
+    located = Matches(here, there, np.ones(200), covariance)
+    measured = measured_model(rough, located, 200)
+    assert measured is not None
+    assert np.abs(measured(here) - truth(here)).max() < 0.05
+    # Few near the first model, or of unknown covariance, measure none.
+    assert measured_model(rough, located.take(np.arange(60)), 200) is None
+    assert measured_model(rough, replace(located, covariance=None), 200) is None
