@@ -33,7 +33,7 @@ def _places(
 
 
 @compiled
-def _looked_up(flat: F32, first: int, width: int, at: I32, right: F32, below: F32, out: F32) -> None:
+def looked_up(flat: F32, first: int, width: int, at: I32, right: F32, below: F32, out: F32) -> None:
     """Values between the four pixels from each of some places on, counted from the pixel `first`."""
     base, row, one = np.uint64(first), np.uint64(width), np.uint64(1)
     for k in range(np.uint64(at.shape[0])):
@@ -72,7 +72,7 @@ def _run(
         np.float32(height - 1.0 - y0), np.int32(width - 2.0 - x0), np.int32(height - 2.0 - y0), np.int32(width), ramp,
         at, right, below,
     )  # fmt: skip
-    _looked_up(flat, int(y0) * width + int(x0), width, at, right, below, out)
+    looked_up(flat, int(y0) * width + int(x0), width, at, right, below, out)
 
 
 @compiled

@@ -6,34 +6,43 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.runtime.jit import compiled
+from featreg.sar.affine_kernels import looked_up
 from featreg.sar.smoothing_kernels import mirrored, smoothed_across, smoothed_along
 from featreg.sar.speckle_kernels import logarithms
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
+I32 = NDArray[np.int32]
 I64 = NDArray[np.int64]
 
 
 @compiled
-def log_windows(amplitude: F32, floor: np.float32, corners: I64, out: F32) -> None:
-    """Fill `out` (N, h, w) with the logarithm of the amplitude (H, W), at least `floor`, from corners (N, 2) on.
+def _copied(row: F32, out: F32) -> None:
+    for x in range(out.shape[0]):
+        out[x] = row[x]
 
-    Beyond its rim the amplitude is mirrored.
+
+@compiled
+def log_windows(amplitude: F32, floor: np.float32, corners: I64, side: int, out: F32) -> None:
+    """Fill `out`, squares of `side` px one after the other, with the logarithm of the amplitude (H, W).
+
+    They begin at corners (N, 2). Amplitudes are `floor` at least; beyond its rim the image is mirrored.
     """
     height, width = amplitude.shape
-    n, rows, columns = out.shape
-    copied = np.empty(columns, np.float32)
-    for i in range(n):
+    # Logarithms of a whole window at once have no rest of a few pixels for each row.
+    size = side * side
+    copied = np.empty(size, np.float32)
+    for i in range(corners.shape[0]):
         left, top = corners[i, 0], corners[i, 1]
-        inside = left >= 0 and left + columns <= width
-        for r in range(rows):
-            y = mirrored(top + r, height)
+        inside = left >= 0 and left + side <= width
+        for r in range(side):
+            y, row = mirrored(top + r, height), copied[r * side : (r + 1) * side]
             if inside:
-                logarithms(amplitude[y, left : left + columns], floor, out[i, r])
+                _copied(amplitude[y, left : left + side], row)
             else:
-                for c in range(columns):
-                    copied[c] = amplitude[y, mirrored(left + c, width)]
-                logarithms(copied, floor, out[i, r])
+                for c in range(side):
+                    row[c] = amplitude[y, mirrored(left + c, width)]
+        logarithms(copied, floor, out[i * size : (i + 1) * size])
 
 
 @compiled
@@ -67,19 +76,18 @@ def smoothed_windows(windows: F32, across: F32, down: F32, out: F32) -> None:
 
 
 @compiled
-def _sampled_row(flat: F32, width: int, u: F32, v: F32, most_u: np.float32, most_v: np.float32, out: F32) -> None:
-    """Bilinear values of a window, given row by row, at places that are brought into it."""
+def _places(
+    base_x: np.float32, base_y: np.float32, shift_x: F32, shift_y: F32, low_x: np.float32, low_y: np.float32,
+    high_x: np.float32, high_y: np.float32, width: np.int32, at: I32, right: F32, below: F32,
+) -> None:  # fmt: skip
+    """Where a row of a window lies in a box, into which it is brought: the pixel before, and the rest along x and y."""
     zero = np.float32(0)
-    for c in range(out.shape[0]):
-        x, y = min(max(u[c], zero), most_u), min(max(v[c], zero), most_v)
+    for c in range(at.shape[0]):
+        x = min(max(max(base_x + shift_x[c], low_x), zero), high_x)
+        y = min(max(max(base_y + shift_y[c], low_y), zero), high_y)
         left, top = np.int32(x), np.int32(y)
-        dx, dy = x - np.float32(left), y - np.float32(top)
-        at = np.uint64(top * np.int32(width) + left)
-        below = at + np.uint64(width)
-        one = np.uint64(1)
-        upper = flat[at] + dx * (flat[at + one] - flat[at])
-        lower = flat[below] + dx * (flat[below + one] - flat[below])
-        out[c] = upper + dy * (lower - upper)
+        right[c], below[c] = x - np.float32(left), y - np.float32(top)
+        at[c] = np.int32(top * width + left)
 
 
 @compiled
@@ -98,8 +106,11 @@ def sampled_windows(
     """
     n, high, wide = out.shape
     box_height = boxes.shape[1] // box_width
-    shift_x, shift_y = np.empty(wide, np.float32), np.empty(wide, np.float32)
-    u, v = np.empty(wide, np.float32), np.empty(wide, np.float32)
+    # Whole vectors of places; those behind the last are not looked up.
+    padded = (wide + 15) // 16 * 16
+    shift_x, shift_y = np.zeros(padded, np.float32), np.zeros(padded, np.float32)
+    right, below = np.empty(padded, np.float32), np.empty(padded, np.float32)
+    at = np.empty(padded, np.int32)
     for i in range(n):
         map_to = affine[i]
         left, top = corners[i, 0], corners[i, 1]
@@ -114,10 +125,10 @@ def sampled_windows(
             y = np.float64(mirrored(top + r, rows))
             base_x = np.float32(map_to[0, 0] * left + map_to[0, 1] * y + map_to[0, 2] - x0)
             base_y = np.float32(map_to[1, 0] * left + map_to[1, 1] * y + map_to[1, 2] - y0)
-            for c in range(wide):
-                u[c] = max(base_x + shift_x[c], low_x)
-                v[c] = max(base_y + shift_y[c], low_y)
-            _sampled_row(boxes[i], box_width, u, v, high_x, high_y, out[i, r])
+            _places(
+                base_x, base_y, shift_x, shift_y, low_x, low_y, high_x, high_y, np.int32(box_width), at, right, below
+            )
+            looked_up(boxes[i], 0, box_width, at[:wide], right, below, out[i, r])
 
 
 @compiled

@@ -139,7 +139,7 @@ def _logs(amplitude: F32, floor: np.float32, corners: IntArray, side: int, *late
 
     more = sum(_reach(taps) for taps in later)
     out = np.empty((len(corners), side + 2 * more, side + 2 * more), np.float32)
-    window_kernels.log_windows(amplitude, floor, np.ascontiguousarray(corners - more), out)
+    window_kernels.log_windows(amplitude, floor, np.ascontiguousarray(corners - more), side + 2 * more, out.ravel())
     return out
 
 
