@@ -30,6 +30,7 @@ DEFAULT = (
     "featreg.sar.bridging_kernels",
     "featreg.sar.keypoints.binary_kernels",
     "featreg.sar.keypoints.corner_kernels",
+    "featreg.sar.keypoints.hamming_kernels",
     "featreg.sar.correlation_kernels",
     "featreg.sar.affine_kernels",
     "featreg.sar.keypoints.motion_kernels",
@@ -77,6 +78,7 @@ def warm_up() -> None:
     _warm_windows(real[0])
     _warm_pieces(real[0])
     _warm_agreement(real[0])
+    _warm_bits()
     _warm_geometry()
 
 
@@ -118,6 +120,20 @@ def _warm_drawings(reference: Any, secondary: Any) -> None:
     bar[90:93, 20:180] = True
     bright = np.float32(4 * reference.max())
     identical_pixels(*(as_image(np.where(bar, bright, pixels)) for pixels in (reference, secondary)))
+
+
+def _warm_bits() -> None:
+    """Compare binary descriptors in slices, whether or not that is quicker on this processor."""
+    import numpy as np
+
+    from featreg.sar.keypoints import hamming_kernels as kernels
+
+    words = np.zeros((3, 4), np.uint64)
+    slices = np.zeros((1, 257 * kernels.LANES), np.uint64)
+    kernels.slice_bits(words, slices)
+    kernels.nearest_by_slices(
+        words, slices, np.zeros(kernels.MEMORY, np.uint64), words[:, 0].copy(), words[:, 1].copy()
+    )
 
 
 def _warm_pieces(pixels: Any) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -12,6 +14,7 @@ from numpy.typing import NDArray
 from featreg.errors import ParameterError
 from featreg.interfaces import Nearest
 from featreg.registry import register
+from featreg.runtime import precompiled
 from featreg.runtime.parameters import Share
 from featreg.runtime.threads import side_by_side
 from featreg.types import Features, FloatArray, IntArray
@@ -23,6 +26,8 @@ ROWS = 128
 # Pairs from which on the rows are shared out, and into how many parts.
 LARGE, PARTS = 1 << 23, 8
 LARGEST = np.iinfo(np.uint64).max
+# Most words of descriptors that are compared in bit slices.
+WIDEST = 12
 
 
 @register("brute-force")
@@ -81,13 +86,18 @@ Neighbours = tuple[IntArray, IntArray, FloatArray, FloatArray]
 def _hamming(a: NDArray[Any], b: NDArray[Any], ratio: bool) -> Neighbours:
     from featreg.sar.keypoints import binary_kernels
 
-    x, y = as_words(a), np.ascontiguousarray(as_words(b).T)
+    x, words = as_words(a), as_words(b)
+    y = np.ascontiguousarray(words.T)
     rows = np.full(len(a), LARGEST, np.uint64)
+    nearest = _by_slices(words) if x.shape[1] <= WIDEST and _slices_are_quicker() else None
 
     def part(start: int, stop: int) -> NDArray[np.uint64]:
         """The nearest of some rows, and the smallest (distance, row) of each column among them."""
         columns = np.full(len(b), LARGEST, np.uint64)
-        binary_kernels.nearest_hamming(x[start:stop], y, BLOCK, rows[start:stop], columns)
+        if nearest is None:
+            binary_kernels.nearest_hamming(x[start:stop], y, BLOCK, rows[start:stop], columns)
+        else:
+            nearest(x[start:stop], rows[start:stop], columns)
         # Rows were counted from the first of the part.
         return np.where(columns < LARGEST, columns + np.uint64(start), columns)
 
@@ -99,6 +109,37 @@ def _hamming(a: NDArray[Any], b: NDArray[Any], ratio: bool) -> Neighbours:
     if ratio:
         binary_kernels.second_best(x, y, forward, second)
     return forward, backward, distance, second.astype(np.float64)
+
+
+@lru_cache(maxsize=1)
+def _slices_are_quicker() -> bool:
+    """Where AVX2 is there but no population count of its width, and the loops are prepared: numba leaves them slow."""
+    from featreg.sar.keypoints import hamming_kernels as kernels
+
+    wide = precompiled.processor_has("avx2") and not precompiled.processor_has("avx512vpopcntdq")
+    kernel: Any = kernels.nearest_by_slices
+    return wide and bool(precompiled.current(kernel))
+
+
+def _by_slices(words: NDArray[np.uint64]) -> Callable[..., None]:
+    """The nearest of rows among these words (M, W) of descriptors, both ways."""
+    from featreg.sar.keypoints import hamming_kernels as kernels
+
+    slices = _aligned((-(-len(words) // kernels.COLUMNS), (64 * words.shape[1] + 1) * kernels.LANES))
+    kernels.slice_bits(words, slices)
+
+    def nearest(reference: NDArray[np.uint64], rows: NDArray[np.uint64], columns: NDArray[np.uint64]) -> None:
+        kernels.nearest_by_slices(reference, slices, _aligned((kernels.MEMORY,)), rows, columns)
+
+    return nearest
+
+
+def _aligned(shape: tuple[int, ...]) -> NDArray[np.uint64]:
+    """Zeros of 64 bits that begin where a line of the processor's cache does."""
+    size = math.prod(shape)
+    held = np.zeros(size + 7, np.uint64)
+    start = -held.ctypes.data % 64 // 8
+    return held[start : start + size].reshape(shape)
 
 
 def _parts(rows: int, columns: int) -> list[tuple[int, int]]:

@@ -36,6 +36,11 @@ def compiled(function: F) -> F:
     return cast(F, Kernel(function, "never"))
 
 
+def disjoint(function: F) -> F:
+    """Compile a helper of kernels whose arrays never overlap: the compiler may read ahead of what it writes."""
+    return cast(F, Kernel(function, "never", disjoint=True))
+
+
 def inlined(function: F) -> F:
     """Compile a small helper into the kernels that call it."""
     return cast(F, Kernel(function, "always"))
@@ -48,10 +53,11 @@ class Kernel:
     ----------
     function : what to compile
     inline : "always" or "never", as numba has it
+    disjoint : whether the memory of its arrays never overlaps
     """
 
-    def __init__(self, function: Callable[..., Any], inline: str) -> None:
-        self.function, self.inline = function, inline
+    def __init__(self, function: Callable[..., Any], inline: str, *, disjoint: bool = False) -> None:
+        self.function, self.inline, self.disjoint = function, inline, disjoint
         self._bound: tuple[Bound, ...] = ()
         self._quick: tuple[Callable[..., Any], ...] = ()
         self._dispatcher: Any = None

@@ -261,7 +261,12 @@ class Machine:
         llvm.initialize_native_target()
         llvm.initialize_native_asmprinter()
         self.llvm = llvm
-        self.processor = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
+        # As numba has them, whose variables name another processor.
+        name, features = os.environ.get("NUMBA_CPU_NAME"), os.environ.get("NUMBA_CPU_FEATURES")
+        self.processor = (
+            llvm.get_host_cpu_name() if name is None else name,
+            llvm.get_host_cpu_features().flatten() if features is None else features,
+        )
         module = llvm.parse_assembly("")
         module.triple = llvm.get_process_triple()
         self.engine = llvm.create_mcjit_compiler(module, self.target())
@@ -309,6 +314,12 @@ class Machine:
         builder = llvm.create_pass_builder(target, options)
         builder.getModulePassManager().run(module, builder)
         return bytes(target.emit_object(module))
+
+
+def processor_has(feature: str) -> bool:
+    """Whether prepared code is made here for a processor with a feature, by LLVM's name of it."""
+    machine = _machine()
+    return machine is not None and f"+{feature}" in machine.processor[1].split(",")
 
 
 @cache

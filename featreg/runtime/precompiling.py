@@ -34,6 +34,8 @@ C_LIBRARY |= {f"{name}f" for name in C_LIBRARY}
 _NUMBERS = {"int": types.int64, "float": types.float64, "bool": types.boolean, "float32": types.float32}
 #: How numba begins the names of this package's kernels.
 OWN = "_ZN7featreg"
+#: Where the samples of an array lie that a function is given, in LLVM's text.
+_SAMPLES = re.compile(r"ptr (%arg\.\w+\.4\b)")
 #: A block's label in LLVM's text, and where a branch goes.
 _LABEL, _TARGET = re.compile(r'("[^"]+"|[\w.$-]+):'), re.compile(r'label %("[^"]+"|[\w.$-]+)')
 # numba's record of an allocation (references, destructor, what it is told, data, size), by the C library.
@@ -110,6 +112,7 @@ def translated(function: Callable[..., Any], dispatcher: Any, key: tuple[str, ..
         final = library._final_module
         for linked in dict.fromkeys(library._linking_libraries):
             final.link_in(linked._get_module_for_linking(), preserve=True)
+    final = _disjoint(final, function)
     memory = llvm.parse_assembly(_MEMORY)
     memory.triple, memory.data_layout = final.triple, final.data_layout
     final.link_in(memory)
@@ -145,6 +148,18 @@ def _without_optimisation() -> Iterator[None]:
         yield
     finally:
         kind._optimize_final_module = before
+
+
+def _disjoint(module: Any, function: Callable[..., Any]) -> Any:
+    """Tell LLVM of the kernel's helpers that are declared `disjoint` that their arrays share no memory."""
+    names = [one.function.__name__ for one in function.__globals__.values() if getattr(one, "disjoint", False)]
+    if not names:
+        return module
+    lines = str(module).split("\n")
+    for k, line in enumerate(lines):
+        if line.startswith("define ") and OWN in line and any(f"{len(name)}{name}" in line for name in names):
+            lines[k] = _SAMPLES.sub(r"ptr noalias \1", line)
+    return llvm.parse_assembly("\n".join(lines))
 
 
 def _keep_loops_apart(module: Any) -> None:

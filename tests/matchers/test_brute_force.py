@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from typing import Any
 
 import numpy as np
@@ -50,8 +51,16 @@ def pairs(a: Any, b: Any, **parameters: Any) -> tuple[Any, Any]:
 modes = pytest.mark.parametrize(("mutual", "ratio"), [(False, 1.0), (True, 1.0), (False, 0.9), (True, 0.95)])
 
 
+@pytest.fixture(params=[False, True], ids=["counted", "sliced"])
+def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both ways of comparing bits, whichever is quicker on this processor."""
+    module = importlib.import_module(registry.entry("nearest", "brute-force").module)
+    monkeypatch.setattr(module, "_slices_are_quicker", lambda: request.param)
+
+
 @modes
-@pytest.mark.parametrize("length", [1, 16, 32, 61, 64, 128])
+@pytest.mark.usefixtures("way")
+@pytest.mark.parametrize("length", [1, 16, 32, 61, 64, 96, 97])  # above 96 bytes never in slices
 def test_hamming_equals_numpy(length: int, mutual: bool, ratio: float) -> None:
     a, b = packed(97, length, 0), packed(1100, length, 1)  # more columns than one block
     b[:50] = a[:50] ^ (packed(50, length, 2) & packed(50, length, 3) & packed(50, length, 4))
@@ -60,6 +69,19 @@ def test_hamming_equals_numpy(length: int, mutual: bool, ratio: float) -> None:
     np.testing.assert_array_equal(found, expected(distance, mutual, ratio))
     np.testing.assert_allclose(score, 1 - distance[found[:, 0], found[:, 1]] / (8 * length))
     assert found.dtype == np.int64
+
+
+@pytest.mark.usefixtures("way")
+@pytest.mark.parametrize("count", [1, 63, 64, 65, 512, 513])
+def test_hamming_of_any_number_of_descriptors(count: int) -> None:
+    """Nothing beside the last descriptor of a word or a block is found, all ones and zeros among them."""
+    a, b = packed(40, 32, 0), packed(count, 32, 1)
+    a[0], a[1], b[-1] = 0, 255, 255 * (count % 2)
+    distance = hamming(a, b)
+    for one, two, between in ((a, b, distance), (b, a, distance.T)):
+        found, score = pairs(one, two, mutual=False, ratio=1.0)
+        np.testing.assert_array_equal(found, expected(between, mutual=False, ratio=1))
+        np.testing.assert_allclose(score, 1 - between.min(axis=1) / 256)
 
 
 @modes

@@ -16,7 +16,7 @@ import pytest
 import featreg
 from featreg.runtime import calling, jit, precompiled
 from featreg.runtime.preparing import LIST
-from featreg.sar.keypoints import binary_kernels, corner_kernels, motion_kernels
+from featreg.sar.keypoints import binary_kernels, corner_kernels, hamming_kernels, motion_kernels
 from featreg.warming import stale_kernels
 
 #: Kernels whose source was changed compile when they are called, until they are translated again.
@@ -30,8 +30,8 @@ def in_place(module: Any) -> None:
 
 
 def test_the_files_hold_every_kernel_that_the_default_method_calls() -> None:
-    for name in ("nearest_hamming", "describe_level"):
-        kernel: Any = getattr(binary_kernels, name)
+    for module, name in ((hamming_kernels, "nearest_by_slices"), (binary_kernels, "nearest_hamming")):
+        kernel: Any = getattr(module, name)
         listed = [entry for entry in precompiled.listed(kernel.path) if entry["kernel"] == name]
         assert listed, f"{name} is not prepared: make kernels"
         assert all(entry["key"] for entry in listed)
@@ -53,20 +53,22 @@ def test_the_files_hold_every_kernel_that_is_listed() -> None:
 
 
 def test_prepared_code_gives_the_bits_of_numba() -> None:
-    in_place(binary_kernels)
+    """Also where the arrays of a helper are declared not to overlap, which numba does not tell LLVM."""
+    in_place(hamming_kernels)
     rng = np.random.default_rng(0)
-    words = rng.integers(0, 2**63, (300, 4), dtype=np.uint64), rng.integers(0, 2**63, (4, 250), dtype=np.uint64)
-    ours, numbas = ([np.full(n, 2**64 - 1, np.uint64) for n in (300, 250)] for _ in range(2))
-    values = (*words, 128, *ours)
-    kernel: Any = binary_kernels.nearest_hamming
-    bound = precompiled.prepared(kernel, precompiled.key_of(values))
+    reference, secondary = (rng.integers(0, 2**63, (n, 4), dtype=np.uint64) for n in (300, 250))
+    slices = np.zeros((1, (64 * 4 + 1) * hamming_kernels.LANES), np.uint64)
+    hamming_kernels.slice_bits(secondary, slices)
+    ours, numbas = ([np.zeros(n, np.uint64) for n in (hamming_kernels.MEMORY, 300, 250)] for _ in range(2))
+    kernel: Any = hamming_kernels.nearest_by_slices
+    bound = precompiled.prepared(kernel, precompiled.key_of((reference, slices, *ours)))
     assert bound is not None
-    assert bound.quick(*values) == bound(values) == kernel.dispatcher(*words, 128, *numbas)
+    values = (reference, slices, *ours)
+    assert bound.quick(*values) == bound(values) == kernel.dispatcher(reference, slices, *numbas)
     for mine, theirs in zip(ours, numbas, strict=True):
         assert mine.tobytes() == theirs.tobytes()
-    nearest = np.array([[int(x ^ y).bit_count() for y in words[1][0]] for x in words[0][:5, 0]])
-    assert nearest.shape == (5, 250)
-    assert (ours[0][:5] >> np.uint64(32) >= nearest.min(axis=1)).all()
+    bits = np.unpackbits((reference[:5, None] ^ secondary).view(np.uint8), axis=2).sum(axis=2)
+    assert (ours[1][:5] >> np.uint64(32)).tolist() == bits.min(axis=1).tolist()
 
 
 def test_arguments_of_another_kind_are_no_call_of_it() -> None:
@@ -211,3 +213,14 @@ def test_loops_of_helpers_stay_apart_so_that_they_become_vectors() -> None:
         own = [function.name for function in module.functions if function.name.startswith("_ZN7featreg")]
         assert any("four_sums" in name for name in own)
         assert not any("fast_log" in name for name in own)
+
+
+def test_the_processor_is_the_one_that_numba_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NUMBA_CPU_NAME", "x86-64-v3")
+    monkeypatch.setenv("NUMBA_CPU_FEATURES", "+avx2,-avx512f")
+    told = precompiled.Machine()
+    assert told.processor == ("x86-64-v3", "+avx2,-avx512f")
+    monkeypatch.setattr(precompiled, "_machine", lambda: told)
+    assert [precompiled.processor_has(name) for name in ("avx2", "avx512f", "avx")] == [True, False, False]
+    monkeypatch.setattr(precompiled, "_machine", lambda: None)
+    assert not precompiled.processor_has("avx2")
