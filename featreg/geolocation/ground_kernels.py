@@ -106,6 +106,10 @@ def ground_of(
             for i in range(n):
                 if state[i]:
                     continue
+                if not o[i] <= tolerance:
+                    # The height is that of some other place than the line of sight's.
+                    state[i] = 2
+                    continue
                 here = level[first + i]
                 now = dem[i] - here
                 if abs(now) <= close:

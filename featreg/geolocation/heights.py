@@ -237,9 +237,14 @@ class DemHeights(Heights):
         """The height at which searches along a sensor's lines of sight begin: what `find` gives, asked once."""
         state = self._state
         with state.lock:
-            if sensor not in state.starts:
-                state.starts[sensor] = find()
-            return state.starts[sensor]
+            try:
+                known = state.starts.get(sensor)
+            except TypeError:
+                # A sensor of another package need not be one that a table can hold.
+                return find()
+            if known is None:
+                known = state.starts[sensor] = find()
+            return known
 
     def to_dict(self) -> dict[str, Any]:
         return {"type": "dem", "path": self.path, "offset": self.offset, "digest": self.digest or self._digest()}

@@ -23,6 +23,8 @@ PLAIN, BRACKETED = 6, 80
 LOWEST, HIGHEST = -1000.0, 9500.0
 #: So many metres above and below the start of a search its ground is looked for in one part of the elevation model.
 RELIEF = 1000.0
+#: Fewer points than this are not worth a part of the model each when they do not fit in one together.
+FEWEST = 32
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,10 +102,11 @@ def _by_secants(sensor: RpcSensor, xy: FloatArray, heights: DemHeights, start: f
         # Each half needs a smaller part.
         along = int(np.argmax(ends[1] - ends[0]))
         first = xy[known, along] < ends[:, along].mean()
-        halves = (known[first], known[~first]) if first.any() else ()
-        for half in halves:
+        if len(known) < FEWEST or not first.any():
+            return by_rounds(sensor, xy, heights, start)
+        for half in (known[first], known[~first]):
             lonlat[half], level[half] = _by_secants(sensor, xy[half], heights, start)
-        return (lonlat, level) if halves else by_rounds(sensor, xy, heights, start)
+        return lonlat, level
     lonlat, level, found = sensor.on_patch(xy, patch, start, CLOSE_M)
     left = known[~found[known]]
     if len(left):

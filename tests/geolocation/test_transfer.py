@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 from rasterio.transform import from_origin
 
 from featreg.errors import InputError
 from featreg.geolocation import DemHeights, Heights, RpcSensor, Transfer
-from featreg.geolocation.sensor import METRES_PER_DEGREE
+from featreg.geolocation.sensor import METRES_PER_DEGREE, Sensor
 from featreg.geolocation.transfer import CLOSE_M, by_rounds, on_ground
 from featreg.simulate.orbit import RangeDoppler, Terrain
 from featreg.types import FloatArray
@@ -109,3 +110,50 @@ class TestSecants:
         )
         monkeypatch.setattr("featreg.geolocation.heights.KEPT_PATCH", 1)
         assert np.abs(on_ground(rpc, xy, dem)[1] - together).max() < 3 * CLOSE_M
+
+    def test_far_off_the_image_heights_are_those_of_the_places(self, rpc: RpcSensor, dem: DemHeights) -> None:
+        lonlat, level = on_ground(rpc, np.random.default_rng(7).uniform(-1e7, 1e7, (2000, 2)), dem)
+        known = np.isfinite(level)
+        assert known.any()
+        assert np.abs(dem.at(lonlat[known]) - level[known]).max() < 1e-3
+
+    def test_few_points_far_apart_are_not_halved_to_single_ones(
+        self, rpc: RpcSensor, dem: DemHeights, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        counts: list[int] = []
+
+        def counted(sensor: Any, xy: FloatArray, heights: Heights, start: float) -> tuple[FloatArray, FloatArray]:
+            counts.append(len(xy))
+            return by_rounds(sensor, xy, heights, start)
+
+        monkeypatch.setattr("featreg.geolocation.heights.KEPT_PATCH", 0)
+        monkeypatch.setattr("featreg.geolocation.transfer.by_rounds", counted)
+        xy = np.random.default_rng(5).uniform(0, 2000, (400, 2))
+        assert np.isfinite(on_ground(rpc, xy, dem)[1]).all()
+        assert sum(counts) == 400
+        assert len(counts) < 40
+
+    def test_a_sensor_of_another_package_need_not_be_hashable(self, rpc: RpcSensor, dem: DemHeights) -> None:
+        @dataclass
+        class Own(Sensor):
+            rpc: RpcSensor
+
+            def ground_to_image(self, lonlat: FloatArray, heights: ArrayLike) -> FloatArray:
+                return self.rpc.ground_to_image(lonlat, heights)
+
+            def image_to_ground(self, xy: FloatArray, heights: ArrayLike) -> FloatArray:
+                return self.rpc.image_to_ground(xy, heights)
+
+            @property
+            def centre(self) -> tuple[float, float]:
+                return self.rpc.centre
+
+            @property
+            def uncertainty_px(self) -> float:
+                return 0.0
+
+            def to_dict(self) -> dict[str, Any]:
+                return self.rpc.to_dict()
+
+        xy = np.random.default_rng(6).uniform(0, 2000, (20, 2))
+        assert np.abs(on_ground(Own(rpc), xy, dem)[1] - on_ground(rpc, xy, dem)[1]).max() < 3 * CLOSE_M
