@@ -46,6 +46,8 @@ LEAST_VALID = 0.05
 #: exceed what independent pixels give. Speckle alone gives 1, oversampled speckle up to 4.
 CELL = 16
 STRUCTURE = 6.0
+#: Share of the squared mean below which a variance is an error of rounding.
+ROUNDING = 1e-10
 #: Tie points of a block that determine its own affine model, and those that determine a shift.
 LEAST_AFFINE, LEAST_SHIFT = 24, 6
 #: Refined tie points of a block.
@@ -261,7 +263,8 @@ def skip_reason(image: Image, role: str) -> str:
         means = means[whole]
     # Invalid pixels hold 0, so that the moments of all give those of the valid ones, much sooner than by the mask.
     mean, deviation = (float(part[0, 0]) for part in cv2.meanStdDev(image.amplitude))
-    variance = (mean**2 + deviation**2) / share - (mean / share) ** 2
+    square = (mean / share) ** 2
+    variance = max((mean**2 + deviation**2) / share - square, ROUNDING * square)
     if float(means.var()) <= STRUCTURE * variance / CELL**2:
         return f"no structure in the {role}: nothing but speckle, as on open water or in shadow"
     return ""

@@ -392,6 +392,15 @@ def test_speckle_alone_is_no_content_and_structure_is(sar_texture: Any) -> None:
     assert "no data" in skip_reason(as_image(land, mask=np.arange(300) * np.ones((300, 1)) < 9), "secondary")
 
 
+@pytest.mark.parametrize("value", [0.3, 1.7, 123.4567, 33000.0])
+@pytest.mark.parametrize("missing", [0, 77, 100])
+def test_one_value_is_no_structure_whatever_rounding_makes_of_it(value: float, missing: int) -> None:
+    mask = np.ones((256, 256), np.bool_)
+    mask[:missing] = False
+    pixels = np.where(mask, np.float32(value), np.float32(0))
+    assert "no structure" in skip_reason(Image(pixels, mask), "reference")
+
+
 class Half(Filter):
     """Keeps the better half, as a random draw would, to see that each block draws from its own seed."""
 
