@@ -33,7 +33,7 @@ WIDEST = 12
 @register("brute-force")
 @dataclass(frozen=True)
 class BruteForce(Nearest):
-    """The nearest secondary descriptor of every reference one: Hamming by population count, L2 by matrix product.
+    """The nearest secondary descriptor of every reference one: Hamming by counts of bits, L2 by matrix product.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def _slices_are_quicker() -> bool:
 
     wide = precompiled.processor_has("avx2") and not precompiled.processor_has("avx512vpopcntdq")
     kernel: Any = kernels.nearest_by_slices
-    return wide and bool(precompiled.current(kernel))
+    return wide and precompiled.prepared_here(kernel)
 
 
 def _by_slices(words: NDArray[np.uint64]) -> Callable[..., None]:

@@ -41,10 +41,10 @@ class _Method(ctypes.Structure):
     """CPython's PyMethodDef."""
 
     _fields_ = (
-        ("name", ctypes.c_char_p),
+        ("name", ctypes.c_void_p),
         ("code", ctypes.c_void_p),
         ("flags", ctypes.c_int),
-        ("doc", ctypes.c_char_p),
+        ("doc", ctypes.c_void_p),
     )
 
 
@@ -199,20 +199,26 @@ def _shared() -> tuple[int, ...]:
     )
 
 
-def callable_of(address: int, key: tuple[str, ...], name: str) -> tuple[Any, Any]:
-    """A Python function of the code that `entered` makes, and what has to live as long as it does.
+def callable_of(address: int, key: tuple[str, ...], name: str) -> Any:
+    """A Python function of the code that `entered` makes.
 
     Parameters
     ----------
-    address : of that code
+    address : of that code, which has to live as long as the function
     key : kinds of the arguments
     name : of the kernel, for errors
     """
-    message = ctypes.c_char_p(f"the compiled {name} failed".encode())
     dtypes = [np.dtype(kind.split(":")[0]) if ":" in kind else None for kind in key]
-    text = ctypes.cast(message, ctypes.c_void_p).value or 0
-    table = np.array([*_shared(), text, *(id(dtype) for dtype in dtypes)], np.uint64)
-    method = _Method(name.encode(), address, FASTCALL, None)
-    make = ctypes.pythonapi.PyCFunction_NewEx
-    make.restype, make.argtypes = ctypes.py_object, [ctypes.c_void_p, ctypes.py_object, ctypes.c_void_p]
-    return make(ctypes.addressof(method), table, None), (message, dtypes, method, table)
+    words = len(_NAMES) + len(key)
+    described, message = name.encode() + b"\0", f"the compiled {name} failed".encode() + b"\0"
+    texts = described + message
+    # CPython looks into its PyMethodDef until the function is gone, and lets go of `self` last: all of it lies there.
+    table = np.zeros(words + ctypes.sizeof(_Method) // 8 + -(-len(texts) // 8), np.uint64)
+    method = _Method.from_address(table.ctypes.data + 8 * words)
+    text = table.ctypes.data + 8 * words + ctypes.sizeof(_Method)
+    ctypes.memmove(text, texts, len(texts))
+    table[:words] = [*_shared(), text + len(described), *(id(dtype) for dtype in dtypes)]
+    method.name, method.code, method.flags = text, address, FASTCALL
+    kinds = (ctypes.py_object, ctypes.c_void_p, ctypes.py_object, ctypes.c_void_p)
+    make: Any = ctypes.PYFUNCTYPE(*kinds)(("PyCFunction_NewEx", ctypes.pythonapi))
+    return make(table.ctypes.data + 8 * words, table, None)

@@ -38,9 +38,19 @@ logger = logging.getLogger(__name__)
 TRANSLATOR = Path(__file__).with_name("precompiling.py")
 #: Offsets in bytes of the fields of an array of numpy, as its code has them: data, extents and strides.
 DATA, EXTENTS, STRIDES = calling.DATA, calling.EXTENTS, calling.STRIDES
+
+
+def _word(number: Any) -> int:
+    """A number of 64 bits; an error where it needs more, of which ctypes would take the lowest."""
+    word = int(number)
+    if not -(1 << 63) <= word < 1 << 63:
+        raise OverflowError(f"a kernel takes whole numbers of 64 bits, got {word}")
+    return word
+
+
 #: Kinds of numbers: the types that pass as one, and what they become.
 NUMBERS: dict[str, tuple[tuple[type, ...], Callable[[Any], Any], Any]] = {
-    "int": ((int, np.int64), int, ctypes.c_int64),
+    "int": ((int, np.int64), _word, ctypes.c_int64),
     "float": ((float, np.float64), float, ctypes.c_double),
     "bool": ((bool, np.bool_), bool, ctypes.c_bool),
     "float32": ((np.float32,), float, ctypes.c_float),
@@ -97,7 +107,7 @@ class Bound:
 
     def __init__(self, address: int, key: tuple[str, ...], result: str, name: str, entry: int) -> None:
         self.name, self.count = name, len(key)
-        self.quick, self._alive = calling.callable_of(entry, key, name)
+        self.quick = calling.callable_of(entry, key, name)
         self.result: Any = RESULTS.get(result)
         self.as_bool = result == "bool"
         self.wanted: list[tuple[Any, int, Any]] = []
@@ -235,6 +245,17 @@ def current(kernel: Source) -> list[dict[str, Any]]:
     return [entry for entry in of_name if entry["source"] == _digest(kernel)]
 
 
+def prepared_here(kernel: Source) -> bool:
+    """Whether a kernel is prepared, for some arguments, in code that this machine takes."""
+    found, machine = _content(file_of(kernel.path)), _machine()
+    return (
+        found is not None
+        and machine is not None
+        and machine.takes(found[0]["llvm"], found[0]["triple"])
+        and bool(current(kernel))
+    )
+
+
 def prepared(kernel: Source, key: tuple[str, ...] | None) -> Bound | None:
     """The machine code of a kernel for arguments of these kinds; None where nothing is prepared for them here."""
     found = _content(file_of(kernel.path))
@@ -261,8 +282,10 @@ class Machine:
         llvm.initialize_native_target()
         llvm.initialize_native_asmprinter()
         self.llvm = llvm
-        # As numba has them, whose variables name another processor.
+        # As numba has them, whose variables name another processor; "generic" has no features but those that are named.
         name, features = os.environ.get("NUMBA_CPU_NAME"), os.environ.get("NUMBA_CPU_FEATURES")
+        if features is None and name is not None and name.lower() == "generic":
+            features = ""
         self.processor = (
             llvm.get_host_cpu_name() if name is None else name,
             llvm.get_host_cpu_features().flatten() if features is None else features,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -70,9 +71,9 @@ def made(machine: Any, result: str) -> Callable[..., Any]:
     code = machine.optimised(module.as_bitcode(), calling.entered(symbol, KEY, result))
     machine.engine.add_object_file(LLVM.ObjectFileRef.from_data(code))
     machine.engine.finalize_object()
-    function, alive = calling.callable_of(machine.engine.get_function_address(f"{symbol}_call"), KEY, "kernel")
+    function = calling.callable_of(machine.engine.get_function_address(f"{symbol}_call"), KEY, "kernel")
 
-    def call(*values: Any, _alive: Any = (machine, alive)) -> Any:
+    def call(*values: Any, _alive: Any = machine) -> Any:
         return function(*values)
 
     return call
@@ -139,6 +140,19 @@ def test_calls_leave_no_reference_behind(calls: Calls) -> None:
         call(*given)
         call(*given, 1)
     assert [sys.getrefcount(thing) for thing in counted] == before
+
+
+def test_a_function_holds_all_that_it_is_made_of() -> None:
+    """CPython reads the flags and the name for as long as there is the function, also while it goes."""
+    function = calling.callable_of(12345, KEY, "kernel")
+    (table,) = gc.get_referents(function)
+    assert type(table) is np.ndarray
+    assert table.base is None
+    words = table.tolist()
+    place = words.index(calling.FASTCALL) - 2
+    assert words[place + 1] == 12345
+    assert table.ctypes.data < words[place] < table.ctypes.data + table.nbytes
+    assert function.__name__ == "kernel"
 
 
 def test_arrays_lie_as_the_code_reads_them() -> None:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 import zlib
 from pathlib import Path
 from types import FunctionType
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -80,6 +81,24 @@ def test_arguments_of_another_kind_are_no_call_of_it() -> None:
     assert bound((1,)) is calling.MISS
     assert bound(tuple("wrong" for _ in entry["key"])) is calling.MISS
     assert precompiled.prepared(kernel, ("f4:1",)) is None
+
+
+def test_numbers_beyond_64_bits_are_errors_from_the_first_call_on() -> None:
+    in_place(binary_kernels)
+    words, nearest = np.zeros((4, 4), np.uint64), [np.zeros(4, np.uint64) for _ in range(2)]
+    kernel: Any = jit.Kernel(cast(Any, binary_kernels.nearest_hamming).function, "never")
+    for _ in range(2):
+        with pytest.raises(OverflowError):
+            kernel(words, words, 2**63, *nearest)
+        kernel(words, words, 128, *nearest)
+
+
+def test_code_of_a_newer_llvm_is_not_prepared_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    in_place(binary_kernels)
+    kernel: Any = binary_kernels.nearest_hamming
+    assert precompiled.prepared_here(kernel)
+    monkeypatch.setattr(precompiled.Machine, "takes", lambda *_: False)
+    assert not precompiled.prepared_here(kernel)
 
 
 def test_a_kernel_that_another_thread_bound_meanwhile_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -215,6 +234,20 @@ def test_loops_of_helpers_stay_apart_so_that_they_become_vectors() -> None:
         assert not any("fast_log" in name for name in own)
 
 
+def test_the_compiler_knows_which_helpers_have_arrays_that_share_no_memory() -> None:
+    in_place(hamming_kernels)
+    kernel: Any = hamming_kernels.nearest_by_slices
+    content = precompiled.file_of(kernel.path).read_bytes().partition(b"\n")[2]
+    for entry in precompiled.current(kernel):
+        start, size = entry["at"]
+        module = LLVM.parse_bitcode(zlib.decompress(content[start : start + size]))
+        counts = {
+            name: len(re.findall(r"ptr noalias [\w() ]*%arg", next(str(f) for f in module.functions if name in f.name)))
+            for name in ("11_add_slices", "13_count_slices")
+        }
+        assert counts == {"11_add_slices": 3, "13_count_slices": 0}
+
+
 def test_the_processor_is_the_one_that_numba_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_CPU_NAME", "x86-64-v3")
     monkeypatch.setenv("NUMBA_CPU_FEATURES", "+avx2,-avx512f")
@@ -224,3 +257,8 @@ def test_the_processor_is_the_one_that_numba_is_told(monkeypatch: pytest.MonkeyP
     assert [precompiled.processor_has(name) for name in ("avx2", "avx512f", "avx")] == [True, False, False]
     monkeypatch.setattr(precompiled, "_machine", lambda: None)
     assert not precompiled.processor_has("avx2")
+    # Only the generic processor lacks what the one at hand has.
+    monkeypatch.delenv("NUMBA_CPU_FEATURES")
+    assert precompiled.Machine().processor[1] == LLVM.get_host_cpu_features().flatten()
+    monkeypatch.setenv("NUMBA_CPU_NAME", "generic")
+    assert precompiled.Machine().processor == ("generic", "")
