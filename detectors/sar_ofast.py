@@ -45,7 +45,7 @@ class SarOfast(Detector):
     sigma : standard deviation in pixels of the Gaussian weight of the 7 x 7 sub-pixel neighbourhood
     centroid : of what the direction of a corner is the centroid: "amplitude" (despeckled) or "edges" (the paper's)
     skip : at most so many of the finest levels are not searched, but as many more coarser ones: as long as the first
-        one that is has at least 90 valid pixels for each keypoint asked for
+        one that is has at least 90 valid pixels for each keypoint asked for, and the last one room for a keypoint
 
     Notes
     -----
@@ -128,10 +128,14 @@ class SarOfast(Detector):
         return replace(features, angle=angle)
 
     def _skipped(self, image: Image) -> int:
-        """How many of the finest levels are not searched: none for which there is no coarser one instead."""
+        """How many of the finest levels are not searched: none for which no coarser one can hold a keypoint instead."""
         valid, skipped = np.count_nonzero(image.mask), 0
         most = min(self.skip, level_count(image.shape, self.skip + self.levels, self.factor) - self.levels)
-        while skipped < most and valid >= PLENTY * self.n_features * self.factor ** (2 * (skipped + 1)):
+        # What the last level is smaller by at most, so that more than a border is left of it.
+        smaller = min(image.shape) / (2 * math.ceil(self.support + REACH) + 1)
+        while skipped < most and self.factor ** (skipped + self.levels) <= smaller:
+            if valid < PLENTY * self.n_features * self.factor ** (2 * (skipped + 1)):
+                break
             skipped += 1
         return skipped
 

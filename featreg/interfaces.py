@@ -53,7 +53,8 @@ class Detector(Plugin):
     def detect_places(self, image: Image) -> Features:
         """As `detect_features`, for callers who ask for the angles of those that they need, by `oriented`.
 
-        Whoever takes time over angles leaves them out here.
+        Whoever takes time over angles leaves them out here. A class that overrides `detect_features` of one that does
+        so overrides this too: `featreg.match` asks for places.
         """
         return self.detect_features(image)
 

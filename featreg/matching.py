@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import warnings
 from collections.abc import Mapping
 from contextlib import nullcontext
 from dataclasses import replace
@@ -168,7 +169,9 @@ def match(
     shared = worker_count(workers if threads is None else threads, default=1)
     with cancellable(cancel), collecting() as seconds, stage("read"), memory():
         if size == 0 and shared > 1:
-            with limited_threads(shared):
+            # Readers keep libraries' warnings quiet for a while, which is of the process: threads that end in another
+            # order than they began would leave it so.
+            with limited_threads(shared), warnings.catch_warnings():
                 images = side_by_side([partial(read, 0), partial(read, 1)])
         else:
             for i in range(0 if size else 2):

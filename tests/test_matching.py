@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +42,27 @@ def assert_equal(a: Registration, b: Registration) -> None:
     np.testing.assert_array_equal(a.inliers, b.inliers)
     np.testing.assert_array_equal(a.model.matrix, b.model.matrix)
     assert (a.status, a.reason, dict(a.gates)) == (b.status, b.reason, dict(b.gates))
+
+
+def test_files_that_are_read_side_by_side_leave_warnings_as_they_were(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Readers keep quiet what the libraries say, and the second ends after the first."""
+    began, both, ended = (threading.Event() for _ in range(3))
+
+    def reading(given: str, *rest: object, **keywords: object) -> None:
+        first = given == "a.tif"
+        assert first or began.wait(5)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            (began if first else both).set()
+            assert (both if first else ended).wait(5)
+        ended.set()
+        raise InputError(f"{given} is no image")
+
+    monkeypatch.setattr("featreg.matching.small_image", reading)
+    before = list(warnings.filters)
+    with pytest.raises(InputError, match=r"^a\.tif is no image"):
+        featreg.match("a.tif", "b.tif", block=False, threads=2)
+    assert warnings.filters == before
 
 
 # What comes out

@@ -26,6 +26,8 @@ SMOOTHING = 2
 SIGNIFICANCE = 6.0
 # Images are reduced to no less than the first share of their side, and not at all where the second would do.
 LEAST_SHARE, WORTH = 0.5, 0.85
+# The shorter side of a reduced image, px: in less there is hardly a place whose surroundings lie inside of it.
+LEAST_SIDE = 64
 
 
 @dataclass(frozen=True)
@@ -38,7 +40,8 @@ class FeatureMatcher(Matcher):
     n_features : at most so many features of each image are used, those of the highest score
     common_rotation : look for one rotation between the images and describe all features of each image in one direction
     pixels_per_feature : where the smaller of the images has more valid pixels than so many for each of `n_features`,
-        features are found in images reduced to about so many, at most to half of their sides; 0 never reduces them
+        features are found in images reduced to about so many, at most to half of their sides and to no side of less
+        than 64 pixels; 0 never reduces them
 
     Notes
     -----
@@ -84,13 +87,15 @@ class FeatureMatcher(Matcher):
     def keypoints(self, image: Image) -> FloatArray:
         """(N, 2) keypoints in an image that is compared with one of its size, at most `n_features`."""
         seen = _reduced(image, self._share(image))
-        return to_base(self.detector.detect_features(seen).best(self.n_features).xy, seen, image)
+        return to_base(self.detector.detect_places(seen).best(self.n_features).xy, seen, image)
 
     def _share(self, *images: Image) -> float:
         """The share of their sides at which features are found in images."""
         wanted = self.pixels_per_feature * self.n_features
         pixels = min(int(np.count_nonzero(image.mask)) for image in images) if wanted else 0
-        share = max(LEAST_SHARE, math.sqrt(wanted / pixels)) if pixels else 1.0
+        if not pixels:
+            return 1.0
+        share = max(LEAST_SHARE, LEAST_SIDE / min(min(image.shape) for image in images), math.sqrt(wanted / pixels))
         return share if share < WORTH else 1.0
 
     def _matched(self, reference: Image, secondary: Image) -> Matches:

@@ -234,6 +234,14 @@ def test_no_level_is_skipped_for_which_there_is_no_coarser_one(sar_texture: Text
     assert found.level.min() == 0
 
 
+@pytest.mark.parametrize(("height", "wanted"), [(75, 0), (80, 0), (100, 1), (129, 2)])
+def test_no_level_is_skipped_for_one_without_room_for_a_corner(sar_texture: Texture, height: int, wanted: int) -> None:
+    """The last of three levels of 1.3 is to be higher than 44 pixels: those of 22 on either side hold no corner."""
+    found = detect(as_image(sar_texture(height, 400)), n_features=20, levels=3, factor=1.3, skip=2)
+    assert found.level.min() == wanted
+    assert found.level.max() == wanted + 2 if wanted else found.level.max() <= 2
+
+
 def test_pixels_without_data_do_not_count(sar_texture: Texture) -> None:
     amplitude = sar_texture(165, 170)
     mask = np.ones(amplitude.shape, np.bool_)

@@ -204,6 +204,19 @@ def test_images_are_reduced_to_the_pixels_that_the_features_need(
             np.testing.assert_allclose(seen, (sides + 0.5) * [width, height] / sides - 0.5)
 
 
+@pytest.mark.parametrize(("height", "share"), [(50, 1.0), (74, 1.0), (80, 0.8), (128, 0.5), (256, 0.5)])
+def test_no_image_is_reduced_to_a_narrow_strip(height: int, share: float) -> None:
+    """Neither is the other one then: both are seen at one scale."""
+    shapes = (height, 500), (300, 400)
+    strip, large = (Image(np.ones(shape, np.float32), np.ones(shape, np.bool_)) for shape in shapes)
+    made = FeatureMatcher(Sized(), None, registry.create("nearest", "brute-force"), 100, False, 60.0)
+    for images in ((strip, large), (large, strip)):
+        found = made.match(*images)
+        for (seen,), image in zip((found.reference_xy, found.secondary_xy), images, strict=True):
+            sides = np.array([round(side * share) for side in image.shape[::-1]])
+            np.testing.assert_allclose(seen, (sides + 0.5) * image.shape[::-1] / sides - 0.5)
+
+
 def test_reduced_images_give_positions_in_pixels_of_the_images(turned_pair: SimulatedPair) -> None:
     images = as_image(turned_pair.reference), as_image(turned_pair.secondary)
     found = replace(matcher(400), pixels_per_feature=60.0).match(*images)
