@@ -37,6 +37,8 @@ MIDDLE, WIDTHS = 12.0, 2 ** (2 / 3)
 FINEST, REACH = 0.85, 2.5
 # Blocks of the whole map for each point from which on windows around the points are made instead, so many at a time.
 SPARSE, WINDOWS = 600, 64
+# Larger radii are taken as so many times the longer side of the image, all of which lies in the middle cell then.
+LARGEST_RADIUS = 20.0
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,7 @@ def daisy(image: Image, level: Image, gradients: Gradients, points: Features, ra
     level : the image, or a level of its pyramid, on which the gradients are computed
     gradients : which they are; where there are several, the sum of their lengths and harmonics is described
     points : N keypoints; cells and directions are relative to their angles
-    radius : (N,) of the descriptors in pixels of the image
+    radius : (N,) of the descriptors in pixels of the image; at most 20 times its longer side is taken
 
     Returns
     -------
@@ -88,6 +90,7 @@ def daisy(image: Image, level: Image, gradients: Gradients, points: Features, ra
     no gradient. No cell of a unit descriptor is longer than 0.3 before it is brought to unit length again.
     """
     out = np.empty((len(points), LENGTH), np.float32)
+    radius = np.minimum(radius, LARGEST_RADIUS * max(image.shape))
     # Pixels of the fields for one of the image.
     smaller = level.shape[1] / image.shape[1] / gradients.grid
     xy, angle = from_base(points.xy, level, image) / gradients.grid, np.ascontiguousarray(points.angle, np.float64)

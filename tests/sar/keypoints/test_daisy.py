@@ -182,6 +182,15 @@ def test_fields_of_several_scales_are_the_gradients_in_every_other_row_and_colum
     np.testing.assert_allclose(between[:, 1::2], (between[:, :-2:2] + between[:, 2::2]) / 2, atol=1e-5)
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_scales_far_beyond_the_image(sar_texture: Texture, name: str) -> None:
+    """They may come from outside; a whole map for one of these would not fit into memory."""
+    image, descriptor = as_image(sar_texture(100, 110)), registry.create("descriptor", name)
+    found, as_far = (descriptor.describe_features(image, points([[50, 50]], scale)) for scale in (1e15, 2200.0))
+    assert found.descriptors is not None
+    np.testing.assert_allclose(found.descriptors, as_far.descriptors, atol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("name", "given"),
     [
