@@ -133,6 +133,39 @@ def test_a_detector_that_takes_what_is_under_the_mask_for_data_is_named(register
     )
 
 
+class DroppedCorners(Corners):
+    """Of two ways to them one leaves the strongest out."""
+
+    def detect_features(self, image: Image) -> Features:
+        found = super().detect_features(image)
+        return found.take(np.arange(1, len(found)))
+
+    def detect_places(self, image: Image) -> Features:
+        return super().detect_features(image)
+
+
+class TurnedCorners(Corners):
+    """Upright, but for those that are asked for their angles."""
+
+    def detect_places(self, image: Image) -> Features:
+        return self.detect_features(image)
+
+    def oriented(self, image: Image, features: Features) -> Features:
+        return replace(features, angle=np.ones(len(features)))
+
+
+@pytest.mark.parametrize(
+    ("made", "words"), [(DroppedCorners, "detect_places gives other points"), (TurnedCorners, "other angles")]
+)
+def test_a_detector_whose_places_are_not_its_features_is_named(
+    registered: set[tuple[str, str]], made: type[Corners], words: str
+) -> None:
+    others = ["gain", "nodata", "mirror image", "shifted view", "same bits again", "pickled", "nothing there"]
+    featreg.register("other-corners")(made)
+    with pytest.raises(PluginError, match=words):
+        check_plugin("detector", "other-corners", leave_out=others)
+
+
 def test_a_search_that_takes_two_kinds_is_named(registered: set[tuple[str, str]]) -> None:
     @featreg.register("bad-nearest")
     class Bad(featreg.Nearest):

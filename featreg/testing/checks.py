@@ -13,6 +13,7 @@ import numpy as np
 
 from featreg import registry
 from featreg.errors import FeatregError, ParameterError
+from featreg.interfaces import Detector
 from featreg.io import as_image
 from featreg.testing.material import (
     apart,
@@ -108,6 +109,13 @@ def _best_first(plugin: Plugin) -> Iterator[str]:
         few = plugin.make(n_features=5).detect_features(as_image(texture(180, 190)))
         if not 0 < len(few) <= 5:
             yield f"n_features=5 gives {len(few)} points"
+    if type(plugin.made).detect_places is not Detector.detect_places:
+        image = as_image(texture(180, 190))
+        places, some = plugin.made.detect_places(image), np.arange(0, len(found), 3)
+        if not np.array_equal(places.xy, found.xy):
+            yield "detect_places gives other points than detect_features"
+        elif not np.array_equal(plugin.made.oriented(image, places.take(some)).angle, found.angle[some]):
+            yield "oriented gives points of detect_places other angles than detect_features"
 
 
 def _all_points(plugin: Plugin, image: Image) -> Features:
