@@ -250,7 +250,7 @@ def _amplitude_at_once(
         return None
     if scale is None and raster.said is not None and kind.kind == "f":
         return None
-    if isinstance(value, bool) or not isinstance(value, Real) or not abs(float(value)) <= LARGEST:
+    if isinstance(value, bool) or not isinstance(value, Real) or not _of_float32(value):
         return None
     if kind.kind == "u" and not (float(value).is_integer() and 0 <= value <= np.iinfo(kind).max):
         return None
@@ -266,6 +266,13 @@ def _amplitude_at_once(
         np.copyto(pixels, 0, where=~valid)
     check_content(pixels, valid, name)
     return pixels, valid
+
+
+def _of_float32(value: Real) -> bool:
+    try:
+        return abs(float(value)) <= LARGEST
+    except OverflowError:
+        return False
 
 
 def _check_form(samples: NDArray[Any], name: str) -> None:

@@ -23,7 +23,10 @@ def holds_nodata(samples: NDArray[Any], nodata: complex | None) -> BoolArray | N
     if not isinstance(nodata, Number) or isinstance(nodata, bool):
         raise ParameterError(f"nodata must be one number, got {nodata!r}")
     kind = samples.dtype.kind
-    plain = complex(nodata)
+    try:
+        plain = complex(nodata)
+    except OverflowError:
+        raise ParameterError("nodata must be a number that float64 can hold, got a larger one") from None
     if np.isnan(plain) or (kind != "c" and plain.imag):
         return None
     if kind in "iu":

@@ -244,6 +244,13 @@ def test_nodata_that_cannot_occur_and_complex_nodata() -> None:
         as_image(GRAY, nodata="0")  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize("dtype", [np.float32, np.uint8, np.complex64])
+@pytest.mark.parametrize("nodata", [10**400, -(10**309)])
+def test_a_nodata_value_beyond_all_floats_is_refused(dtype: Any, nodata: int) -> None:
+    with pytest.raises(ParameterError, match="that float64 can hold"):
+        as_image(np.arange(400).reshape(20, 20).astype(dtype), nodata=nodata)
+
+
 def test_mask_band_of_a_file_stays_with_an_explicit_nodata(tmp_path: Path) -> None:
     inside = np.full(GRAY.shape, 255, np.uint8)
     inside[:7] = 0
