@@ -246,7 +246,7 @@ def _amplitude_at_once(
     kind = samples.dtype
     if kind not in (np.float32, np.uint8, np.uint16) or not kind.isnative or not samples.flags.c_contiguous:
         return None
-    if (raster.gain, raster.offset, raster.factor) != (1.0, 0.0, None) or scale not in (None, "amplitude"):
+    if raster.factor is not None or (raster.gain, raster.offset) != (1.0, 0.0) or scale not in (None, "amplitude"):
         return None
     if scale is None and raster.said is not None and kind.kind == "f":
         return None
