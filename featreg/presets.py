@@ -58,8 +58,8 @@ class Preset:
 # Fewer and coarser than the paper's eight of 1.2: as many correct matches or more at scales from 0.6 to 1.6, measured,
 # and less to compute.
 _THREE_LEVELS = {"levels": 3, "factor": 1.3}
-# Found in images reduced to so many pixels for each, features are as often right as with 60 on Sentinel-1, and on change
-# pairs, where they are few, more results are trusted.
+# Found in images reduced to so many pixels for each, features are as often right as with 60 on Sentinel-1 dates, and
+# more results are trusted of change pairs with few.
 _PIXELS = 75.0
 _PAPER_OFAST = {
     "alpha": 2.0,
