@@ -108,6 +108,14 @@ def _alone(function: Callable[[], T]) -> T:
     return function()
 
 
+def use_one_thread() -> None:
+    """Let nothing in this process run side by side from here on, whatever was asked for where it was forked from."""
+    import cv2
+
+    cv2.setNumThreads(1)
+    _asked.set(1)
+
+
 def limit_algebra(count: int) -> None:
     """Tell this process's libraries of linear algebra that are not imported yet to use `count` threads."""
     os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(count)))

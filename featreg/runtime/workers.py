@@ -10,7 +10,7 @@ import threading
 import time
 from multiprocessing.connection import wait
 
-from featreg.runtime.threads import limit_algebra
+from featreg.runtime.threads import limit_algebra, use_one_thread
 
 
 def start_worker(keep_memory: bool = False) -> None:
@@ -27,9 +27,7 @@ def start_worker(keep_memory: bool = False) -> None:
         keep_freed_memory()
     # Inherited through a fork, the variables are late for the libraries, but not for those still to be imported.
     limit_algebra(1)
-    import cv2
-
-    cv2.setNumThreads(1)
+    use_one_thread()
 
 
 def _end_with_parent() -> None:

@@ -60,6 +60,36 @@ def test_executors_of_others(tmp_path: Path) -> None:
             pass
 
 
+ASKED_AROUND = """
+import threading
+from featreg.runtime.threads import limited_threads, side_by_side
+
+def alone(_):
+    import cv2
+    main = threading.main_thread()
+    return cv2.getNumThreads(), side_by_side([lambda: threading.current_thread() is main] * 2)
+
+if __name__ == "__main__":
+    with limited_threads(2, algebra=1):
+        from featreg.runtime.executors import open_executor
+        from featreg.runtime.workers import can_fork
+        print(can_fork())
+        with open_executor("processes", 2) as executor:
+            print(dict(sorted(executor.run(alone, (), [1, 2, 3], None))))
+"""
+
+
+def test_workers_use_one_thread_whatever_was_asked_around_them(tmp_path: Path) -> None:
+    """The command line asks for two around everything, and forks its workers inside that."""
+    script = tmp_path / "asked.py"
+    script.write_text(ASKED_AROUND)
+    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=True)
+    forked, results = done.stdout.splitlines()
+    # The first is done before there are workers, by two threads.
+    assert results == str({0: (1, [False, False]), 1: (1, [True, True]), 2: (1, [True, True])})
+    assert forked == str(sys.platform == "linux")
+
+
 def test_workers_that_die_are_replaced(tmp_path: Path) -> None:
     with open_executor("processes", 2) as executor:
         got = dict(executor.run(_dies_once, (str(tmp_path / "died"),), list(range(8)), None))
