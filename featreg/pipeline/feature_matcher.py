@@ -45,8 +45,8 @@ class FeatureMatcher(Matcher):
 
     Notes
     -----
-    Reduced images are averages, in which less speckle is left, and features spread further over what is there. At 60
-    pixels for each feature, simulated looks of Sentinel-1 and pairs of its dates have 1.2 to 2 times as many correct
+    Reduced images are averages, in which less speckle is left, and features spread further over what is there. At 60 to
+    75 pixels for each feature, simulated looks of Sentinel-1 and pairs of its dates have 1.2 to 2 times as many correct
     matches as at full size, found sooner. Positions are as much coarser, so that they are to be measured again.
 
     Under speckle the orientation of a single keypoint is off by tens of degrees, but two images of one scene are turned
