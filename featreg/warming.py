@@ -164,7 +164,7 @@ def _warm_geometry() -> None:
 
     from featreg.focusing.backprojection import GroundGrid, back_project
     from featreg.focusing.phase_history import PhaseHistory
-    from featreg.geolocation.heights import Patch
+    from featreg.geolocation.elevation_model import Patch
     from featreg.geolocation.orbit import Orbit
     from featreg.simulate.orbit import RangeDoppler
 

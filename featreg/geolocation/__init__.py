@@ -13,9 +13,10 @@ Everything is frozen, picklable, safe to share between threads, float64, and hol
 """
 
 from featreg.geolocation.corrected import CorrectedSensor
+from featreg.geolocation.elevation_model import DemHeights, heights_from_dict
 from featreg.geolocation.gcps import GcpSensor
 from featreg.geolocation.geotransform import GeotransformSensor
-from featreg.geolocation.heights import ConstantHeight, DemHeights, Heights, heights_from_dict
+from featreg.geolocation.heights import ConstantHeight, Heights
 from featreg.geolocation.overlap import Overlap, find_overlap
 from featreg.geolocation.range_doppler import RangeDopplerSensor
 from featreg.geolocation.rpc import RpcSensor

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from featreg.errors import InputError, NoOverlapError
-from featreg.geolocation.heights import ConstantHeight, DemHeights, Heights
+from featreg.geolocation.elevation_model import DemHeights
+from featreg.geolocation.heights import ConstantHeight, Heights
 from featreg.geolocation.projection import FULL_TURN, near
 from featreg.geolocation.sensor import Sensor, metres
 from featreg.geolocation.transfer import Transfer, on_ground

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from featreg.errors import InputError
-from featreg.geolocation.heights import Patch
+from featreg.geolocation.elevation_model import Patch
 from featreg.geolocation.sensor import SIGMAS, Sensor, column_of, wrapped
 from featreg.types import BoolArray, FloatArray, read_only
 

@@ -18,7 +18,8 @@ from numpy.typing import ArrayLike
 
 from featreg.errors import InputError, ParameterError
 from featreg.geolocation.corrected import CorrectedSensor
-from featreg.geolocation.heights import ConstantHeight, Heights, heights_from_dict
+from featreg.geolocation.elevation_model import heights_from_dict
+from featreg.geolocation.heights import ConstantHeight, Heights
 from featreg.geolocation.range_doppler import RangeDopplerSensor
 from featreg.geolocation.rpc import RpcSensor
 from featreg.geolocation.sensor import Sensor

@@ -9,7 +9,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from featreg.geolocation.heights import ConstantHeight, DemHeights, Heights
+from featreg.geolocation.elevation_model import DemHeights
+from featreg.geolocation.heights import ConstantHeight, Heights
 from featreg.geolocation.rpc import RpcSensor
 from featreg.geolocation.sensor import Sensor
 from featreg.geometry.base import DerivedModel

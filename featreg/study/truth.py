@@ -167,7 +167,8 @@ def _from_model(model: Model | FailedFit, what: str) -> Truth:
 
 
 def _from_geolocation(height: str, images: tuple[Any, Any] | None) -> Truth:
-    from featreg.geolocation.heights import ConstantHeight, DemHeights, Heights
+    from featreg.geolocation.elevation_model import DemHeights
+    from featreg.geolocation.heights import ConstantHeight, Heights
     from featreg.geolocation.sensors import ground_level, sensor_of
     from featreg.geolocation.transfer import Transfer
     from featreg.io.raster_source import open_source

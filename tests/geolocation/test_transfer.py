@@ -108,7 +108,7 @@ class TestSecants:
         assert np.array_equal(
             np.concatenate([on_ground(rpc, xy[k : k + 7], dem)[1] for k in range(0, 400, 7)]), together
         )
-        monkeypatch.setattr("featreg.geolocation.heights.KEPT_PATCH", 1)
+        monkeypatch.setattr("featreg.geolocation.elevation_model.KEPT_PATCH", 1)
         assert np.abs(on_ground(rpc, xy, dem)[1] - together).max() < 3 * CLOSE_M
 
     def test_far_off_the_image_heights_are_those_of_the_places(self, rpc: RpcSensor, dem: DemHeights) -> None:
@@ -126,7 +126,7 @@ class TestSecants:
             counts.append(len(xy))
             return by_rounds(sensor, xy, heights, start)
 
-        monkeypatch.setattr("featreg.geolocation.heights.KEPT_PATCH", 0)
+        monkeypatch.setattr("featreg.geolocation.elevation_model.KEPT_PATCH", 0)
         monkeypatch.setattr("featreg.geolocation.transfer.by_rounds", counted)
         xy = np.random.default_rng(5).uniform(0, 2000, (400, 2))
         assert np.isfinite(on_ground(rpc, xy, dem)[1]).all()

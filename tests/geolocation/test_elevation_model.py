@@ -48,8 +48,8 @@ class TestDemHeights:
     def test_tiles_leave_no_seam_and_stay_few(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, write_dem: Callable[..., str]
     ) -> None:
-        monkeypatch.setattr("featreg.geolocation.heights.TILE", 16)
-        monkeypatch.setattr("featreg.geolocation.heights.KEPT", 3)
+        monkeypatch.setattr("featreg.geolocation.elevation_model.TILE", 16)
+        monkeypatch.setattr("featreg.geolocation.elevation_model.KEPT", 3)
         y, x = np.mgrid[0:70, 0:90]
         dem = DemHeights(write_dem(tmp_path / "dem.tif", 5.0 * x - 7.0 * y, from_origin(10.0, 50.0, 0.01, 0.01)))
         cells = np.random.default_rng(1).uniform(0, [89, 69], (4000, 2))
