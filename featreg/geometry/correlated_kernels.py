@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from featreg.runtime.jit import compiled
+from featreg.runtime.jit import compact, compiled
 from featreg.types import FloatArray, IntArray
 
 #: exp(-x) of more than this is nothing beside 1.
@@ -248,7 +248,7 @@ def gathered(
             total[7 + count + p] += w * design[i, 1, p]
 
 
-@compiled
+@compact
 def left_out(
     design: FloatArray, error: FloatArray, group: IntArray, groups: int, at: FloatArray, least: float, out: FloatArray
 ) -> int:

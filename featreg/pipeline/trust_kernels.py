@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.geometry.reweighting_kernels import middle_of, reweighted, weighted_fit
-from featreg.runtime.jit import compiled
+from featreg.runtime.jit import compact, compiled
 from featreg.types import BoolArray, FloatArray, IntArray
 
 
@@ -99,7 +99,7 @@ def robust_fit(
     return bool(weighted_fit(kind, x, y, u, v, weights, p))
 
 
-@compiled
+@compact
 def beyond(
     kind: int, minimum: int, here: FloatArray, there: FloatArray, tuning: float, least: float, rounds: int,
     grid: FloatArray, mapped: FloatArray, weights: FloatArray,
@@ -119,7 +119,7 @@ def beyond(
     return float(size * math.sqrt(total / grid.shape[0]))
 
 
-@compiled
+@compact
 def held_out(
     kind: int, minimum: int, here: FloatArray, there: FloatArray, half: BoolArray, tuning: float, least: float,
     rounds: int,

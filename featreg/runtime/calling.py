@@ -19,8 +19,10 @@ MISS = object()
 #: strides, dtype and flags.
 TYPE, VALUE = 8, 16
 DATA, AXES, EXTENTS, STRIDES, DTYPE, FLAGS = 16, 24, 32, 40, 56, 64
-#: The flag of an array whose samples lie one after the other, and that of a function of a vector of arguments.
-CONTIGUOUS, FASTCALL = 1, 0x80
+#: Flags of an array: its samples lie one after the other, at addresses that suit them, and may be written.
+CONTIGUOUS, ALIGNED, WRITEABLE = 1, 0x100, 0x400
+#: The flag of a function of a vector of arguments.
+FASTCALL = 0x80
 #: LLVM's types of the numbers that are passed.
 _PASSED = {"int": "i64", "float": "double", "bool": "i1", "float32": "float"}
 #: What the code finds in its table, by name; the dtype of each argument follows.
@@ -56,15 +58,18 @@ def layout_holds() -> bool:
         return kind.from_address(start).value
 
     data, extents, strides = (word(id(sample) + offset) for offset in (DATA, EXTENTS, STRIDES))
-    whole = np.zeros(3)
+    whole, locked, shifted = np.zeros(3), np.zeros(3), np.zeros(9, np.uint8)[1:].view(np.float64)
+    locked.flags.writeable = False
+    flags = [word(id(array) + FLAGS, ctypes.c_int32) for array in (sample, whole, locked, shifted)]
     return bool(
         data == sample.ctypes.data
         and [word(extents), word(extents + 8), word(strides), word(strides + 8)] == [3, 3, 10, 4]
         and word(id(sample) + TYPE) == id(np.ndarray)
         and word(id(sample) + DTYPE) == id(sample.dtype)
         and word(id(sample) + AXES, ctypes.c_int32) == 2
-        and not word(id(sample) + FLAGS, ctypes.c_int32) & CONTIGUOUS
-        and word(id(whole) + FLAGS, ctypes.c_int32) & CONTIGUOUS
+        and [flag & CONTIGUOUS for flag in flags] == [0, CONTIGUOUS, CONTIGUOUS, CONTIGUOUS]
+        and [flag & WRITEABLE for flag in flags] == [WRITEABLE, WRITEABLE, 0, WRITEABLE]
+        and [flag & ALIGNED for flag in flags] == [ALIGNED, ALIGNED, ALIGNED, 0]
         and word(id(whole) + AXES, ctypes.c_int32) == 1
         and _held(np.int64(-12345), ctypes.c_int64) == -12345
         and _held(-1.25, ctypes.c_double) == _held(np.float64(-1.25), ctypes.c_double) == -1.25
@@ -76,7 +81,20 @@ def _held(number: Any, kind: Any) -> Any:
     return kind.from_address(id(number) + VALUE).value
 
 
-def entered(symbol: str, key: tuple[str, ...], result: str) -> str:
+def flags_of(key: tuple[str, ...], outputs: tuple[int, ...]) -> list[int]:
+    """The flags that each array of a call must have; 0 for numbers.
+
+    As numba has it: what is written into may not be read-only, and what is only read may be.
+    """
+    wanted = [0] * len(key)
+    for place, kind in enumerate(key):
+        _, *layout = kind.split(":")
+        if layout:
+            wanted[place] = ALIGNED | (0 if layout[1:] else CONTIGUOUS) | (WRITEABLE if place in outputs else 0)
+    return wanted
+
+
+def entered(symbol: str, key: tuple[str, ...], result: str, outputs: tuple[int, ...]) -> str:
     """LLVM's text of the function ``<symbol>_call`` that calls a kernel.
 
     Parameters
@@ -84,6 +102,7 @@ def entered(symbol: str, key: tuple[str, ...], result: str) -> str:
     symbol : of the kernel's code, which takes where its result goes, arrays as objects and numbers
     key : kinds of the arguments
     result : kind of the result; "" for None
+    outputs : places of the arrays that it writes into
     """
     lines: list[str] = []
     count = 0
@@ -107,16 +126,15 @@ def entered(symbol: str, key: tuple[str, ...], result: str) -> str:
         lines.extend((f"  br i1 {condition}, label %b{count}, label %miss", f"b{count}:"))
 
     given = [f"ptr {'null' if not result else '%held'}"]
-    for place, kind in enumerate(key):
+    for place, (kind, flags) in enumerate(zip(key, flags_of(key, outputs), strict=True)):
         thing = made(f"load ptr, ptr {made(f'getelementptr ptr, ptr %args, i64 {place}')}")
         _, *layout = kind.split(":")
         if layout:
             must(made(f"icmp eq ptr {field(thing, TYPE, 'ptr')}, {known('array')}"))
             must(made(f"icmp eq ptr {field(thing, DTYPE, 'ptr')}, {known(place)}"))
             must(made(f"icmp eq i32 {field(thing, AXES, 'i32')}, {int(layout[0])}"))
-            if len(layout) < 2:
-                flags = made(f"and i32 {field(thing, FLAGS, 'i32')}, {CONTIGUOUS}")
-                must(made(f"icmp ne i32 {flags}, 0"))
+            found = made(f"and i32 {field(thing, FLAGS, 'i32')}, {flags}")
+            must(made(f"icmp eq i32 {found}, {flags}"))
             given.append(f"ptr {thing}")
             continue
         if kind == "bool":

@@ -27,6 +27,8 @@ logger = logging.getLogger(__name__)
 F = TypeVar("F", bound=Callable[..., Any])
 
 _lock = threading.RLock()
+#: Whether numba may keep code on disk and take what it kept before.
+keeping = True
 #: (module, kernel) -> the kinds of arguments that it was called with, where these are being recorded; else None.
 calls: dict[tuple[str, str], set[tuple[str, ...]]] | None = None
 
@@ -34,6 +36,14 @@ calls: dict[tuple[str, str], set[tuple[str, ...]]] | None = None
 def compiled(function: F) -> F:
     """Compile `function` for the argument types of each call; cached on disk, releases the GIL."""
     return cast(F, Kernel(function, "never"))
+
+
+def compact(function: F) -> F:
+    """Compile a kernel that a pair calls once or twice on few numbers: prepared as short code, which is made sooner.
+
+    Its loops become vectors where that needs no second copy of them, and are not unrolled.
+    """
+    return cast(F, Kernel(function, "never", compact=True))
 
 
 def disjoint(function: F) -> F:
@@ -54,10 +64,13 @@ class Kernel:
     function : what to compile
     inline : "always" or "never", as numba has it
     disjoint : whether the memory of its arrays never overlaps
+    compact : whether its prepared code is to be short rather than fast
     """
 
-    def __init__(self, function: Callable[..., Any], inline: str, *, disjoint: bool = False) -> None:
-        self.function, self.inline, self.disjoint = function, inline, disjoint
+    def __init__(
+        self, function: Callable[..., Any], inline: str, *, disjoint: bool = False, compact: bool = False
+    ) -> None:
+        self.function, self.inline, self.disjoint, self.compact = function, inline, disjoint, compact
         self._bound: tuple[Bound, ...] = ()
         self._quick: tuple[Callable[..., Any], ...] = ()
         self._dispatcher: Any = None
@@ -86,14 +99,15 @@ class Kernel:
             with _lock:
                 # Another thread may have bound it since.
                 found = next((bound for bound in self._bound if bound.fits(values)), None)
-                if found is None:
+                if found is None and all(bound.key != key for bound in self._bound):
                     found = prepared(self, key)
                     if found is None:
                         self._unprepared.add(key)
                     else:
                         self._bound = (*self._bound, found)
                         self._quick = (*self._quick, found.quick)
-        return self.dispatcher(*values) if found is None else found(values)
+        # An array that may not be written is of the same kind: where the kernel would write it, numba says that.
+        return self.dispatcher(*values) if found is None or not found.fits(values) else found(values)
 
     @property
     def path(self) -> Path:
@@ -127,6 +141,8 @@ def _jit(function: Callable[..., Any], inline: str) -> Any:
     import numba
 
     options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "inline": inline}
+    if not keeping:
+        return numba.njit(**options)(function)
     if _may_have_folder():
         # RuntimeError: no folder of this installation or of the user can be written.
         with contextlib.suppress(RuntimeError):

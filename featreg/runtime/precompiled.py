@@ -1,9 +1,10 @@
 """Kernels that were translated to LLVM's code when the package was built, made into machine code of this processor.
 
 Beside a module of kernels lies a file of the same name that ends in `.bc`, which setup.py writes. It holds, for each
-kernel and each kind of arguments that the methods use, what numba makes of it before anything depends on the processor.
-The first call optimises it for the processor at hand (a tenth of a second or less) and keeps the object on disk; later
-starts load that. The steps are numba's own, and so are the bits of the results.
+kernel and each kind of arguments that the methods use, what numba makes of it before anything depends on the processor,
+and the machine code of the processor on which it was built. On another one the first call optimises the former (a tenth
+of a second or less) and keeps the object on disk; later starts load that. The steps are numba's own, and so are the
+bits of the results. `FEATREG_KERNELS=bitcode` leaves that machine code out, where the file is written or read.
 
 Where a file is missing, was made for another system, another LLVM, from another source or by another translator, there
 is nothing prepared, and numba compiles as ever. `FEATREG_KERNELS=numba` asks for that.
@@ -11,6 +12,7 @@ is nothing prepared, and numba compiles as ever. `FEATREG_KERNELS=numba` asks fo
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import hashlib
 import json
@@ -20,7 +22,7 @@ import sys
 import tempfile
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, Protocol
@@ -55,6 +57,13 @@ NUMBERS: dict[str, tuple[tuple[type, ...], Callable[[Any], Any], Any]] = {
     "bool": ((bool, np.bool_), bool, ctypes.c_bool),
     "float32": ((np.float32,), float, ctypes.c_float),
 }
+#: Variables of numba that ask for other code than is prepared, and what they are where they do not.
+OTHER_CODE = {
+    "NUMBA_DISABLE_JIT": "0", "NUMBA_BOUNDSCHECK": "0", "NUMBA_DEBUGINFO": "0", "NUMBA_OPT": "3",
+    "NUMBA_LOOP_VECTORIZE": "1", "NUMBA_SLP_VECTORIZE": "0",
+}  # fmt: skip
+#: Processors whose AVX numba leaves alone, by LLVM's names.
+WITHOUT_AVX = ("corei7-avx", "core-avx-i", "sandybridge", "ivybridge", "nocona")
 _KINDS = {kind: name for name, (kinds, _, _) in NUMBERS.items() for kind in kinds}
 #: Kinds of results: what holds them.
 RESULTS = {"int": ctypes.c_int64, "float": ctypes.c_double, "bool": ctypes.c_int64}
@@ -73,14 +82,15 @@ class Source(Protocol):
 
 
 def key_of(values: tuple[Any, ...]) -> tuple[str, ...] | None:
-    """The kinds of the arguments of a call; None where one is neither an array nor a plain number.
+    """The kinds of the arguments of a call; None where one is neither a plain number nor an array in order of bytes and
+    at an address that suit the processor.
 
     That of an array is its samples' and the number of its axes, with ":A" where it is not contiguous.
     """
     key = []
     for value in values:
         if type(value) is np.ndarray:
-            if not value.dtype.isnative:
+            if not (value.dtype.isnative and value.flags.aligned):
                 return None
             key.append(f"{value.dtype.str[1:]}:{value.ndim}{'' if value.flags.c_contiguous else ':A'}")
         elif type(value) in _KINDS:
@@ -100,22 +110,25 @@ class Bound:
     result : kind of the result; "" for None
     name : of the kernel, for errors
     entry : address of what `featreg.runtime.calling.entered` made of it
+    outputs : places of the arrays that it writes into
 
     `quick` is called with the arguments one by one and returns `MISS` where it does not know the kind of one exactly,
     as of a number that is a bool or a dtype that is another object; calling the object itself then decides.
     """
 
-    def __init__(self, address: int, key: tuple[str, ...], result: str, name: str, entry: int) -> None:
-        self.name, self.count = name, len(key)
+    def __init__(
+        self, address: int, key: tuple[str, ...], result: str, name: str, entry: int, outputs: tuple[int, ...]
+    ) -> None:
+        self.name, self.key, self.count = name, key, len(key)
         self.quick = calling.callable_of(entry, key, name)
         self.result: Any = RESULTS.get(result)
         self.as_bool = result == "bool"
         self.wanted: list[tuple[Any, int, Any]] = []
         kinds: list[Any] = [ctypes.c_void_p]
-        for kind in key:
+        for kind, flags in zip(key, calling.flags_of(key, outputs), strict=True):
             dtype, *layout = kind.split(":")
             if layout:
-                self.wanted.append((np.dtype(dtype), int(layout[0]), None if len(layout) < 2 else False))
+                self.wanted.append((np.dtype(dtype), int(layout[0]), flags))
                 kinds.append(ctypes.py_object)
             else:
                 types, convert, c_type = NUMBERS[kind]
@@ -136,16 +149,16 @@ class Bound:
         if len(values) != self.count:
             return None
         given = []
-        for value, (kind, dimensions, convert) in zip(values, self.wanted, strict=True):
-            if convert:
+        for value, (kind, dimensions, then) in zip(values, self.wanted, strict=True):
+            if dimensions < 0:
                 if type(value) not in kind:
                     return None
-                given.append(convert(value))
+                given.append(then(value))
             elif (
                 type(value) is np.ndarray
                 and value.dtype == kind
                 and value.ndim == dimensions
-                and (convert is False or value.flags.c_contiguous)
+                and value.flags.num & then == then
             ):
                 given.append(value)
             else:
@@ -168,12 +181,24 @@ class Bound:
 
 @dataclass(frozen=True)
 class Prepared:
-    """One kernel of a file: its kinds, the symbol of its code, and where the code lies."""
+    """One kernel of a file.
+
+    Parameters
+    ----------
+    key : kinds of its arguments
+    result : kind of its result; "" for None
+    symbol : of its code
+    outputs : places of the arrays that it writes into
+    code : LLVM's
+    made : machine code of the processor on which this was prepared; empty where there is none
+    """
 
     key: tuple[str, ...]
     result: str
     symbol: str
+    outputs: tuple[int, ...]
     code: bytes
+    made: bytes = b""
 
 
 def file_of(source: Path) -> Path:
@@ -199,10 +224,10 @@ def source_digest(kernel: Source) -> str:
 
 def written(entries: dict[tuple[str, str], list[Prepared]], llvm: list[int], triple: str) -> bytes:
     """The content of a file: (kernel, digest of its source) -> what is prepared of it."""
-    body, listed = b"", []
+    body, listed, machine = b"", [], _machine()
     for (name, digest), prepared in sorted(entries.items()):
         for one in sorted(prepared, key=lambda one: one.key):
-            packed = zlib.compress(one.code, 9)
+            packed, made = (zlib.compress(code, 9) for code in (one.code, one.made))
             listed.append(
                 {
                     "kernel": name,
@@ -210,11 +235,16 @@ def written(entries: dict[tuple[str, str], list[Prepared]], llvm: list[int], tri
                     "key": one.key,
                     "result": one.result,
                     "symbol": one.symbol,
+                    "outputs": one.outputs,
                     "at": [len(body), len(packed)],
+                    "made": [len(body) + len(packed), len(made)],
                 }
             )
-            body += packed
-    header = json.dumps({"llvm": llvm, "triple": triple, "kernels": listed}, separators=(",", ":")).encode()
+            body += packed + made
+    header = json.dumps(
+        {"llvm": llvm, "triple": triple, "machine": "" if machine is None else machine.identity, "kernels": listed},
+        separators=(",", ":"),
+    ).encode()
     return header + b"\n" + body
 
 
@@ -238,11 +268,17 @@ def listed(source: Path) -> list[dict[str, Any]]:
 
 def current(kernel: Source) -> list[dict[str, Any]]:
     """What is prepared of a kernel, from its source as it is now; nothing where numba is asked for."""
-    if os.environ.get("FEATREG_KERNELS") == "numba":
+    if left_to_numba():
         return []
     name = kernel.function.__name__
     of_name = [entry for entry in listed(kernel.path) if entry["kernel"] == name]
     return [entry for entry in of_name if entry["source"] == _digest(kernel)]
+
+
+def left_to_numba() -> bool:
+    """Whether the environment asks for numba itself, or for code that only numba makes."""
+    other = any(os.environ.get(name, "") not in ("", usual) for name, usual in OTHER_CODE.items())
+    return other or os.environ.get("FEATREG_KERNELS") == "numba"
 
 
 def prepared_here(kernel: Source) -> bool:
@@ -263,14 +299,26 @@ def prepared(kernel: Source, key: tuple[str, ...] | None) -> Bound | None:
         return None
     for entry in current(kernel):
         if tuple(entry["key"]) == key:
-            start, size = entry["at"]
             machine = _machine()
             if machine is None or not machine.takes(found[0]["llvm"], found[0]["triple"]):
                 return None
-            symbol, result = entry["symbol"], entry["result"]
-            addresses = machine.addresses(symbol, found[1][start : start + size], key, result)
-            return None if addresses is None else Bound(addresses[0], key, result, entry["kernel"], addresses[1])
+            code, made = (found[1][start : start + size] for start, size in (entry["at"], entry["made"]))
+            if found[0]["machine"] != machine.identity or os.environ.get("FEATREG_KERNELS") == "bitcode":
+                made = b""
+            symbol, result, outputs = entry["symbol"], entry["result"], tuple(entry["outputs"])
+            addresses = machine.addresses(symbol, code, key, result, outputs, made)
+            if addresses is not None:
+                return Bound(addresses[0], key, result, entry["kernel"], addresses[1], outputs)
     return None
+
+
+def ready(one: Prepared) -> Prepared:
+    """A kernel with its machine code for the processor at hand, where there is such."""
+    machine = _machine()
+    if machine is None or os.environ.get("FEATREG_KERNELS") == "bitcode":
+        return one
+    entry = calling.entered(one.symbol, one.key, one.result, one.outputs)
+    return replace(one, made=machine.optimised(one.code, entry))
 
 
 class Machine:
@@ -282,14 +330,11 @@ class Machine:
         llvm.initialize_native_target()
         llvm.initialize_native_asmprinter()
         self.llvm = llvm
-        # As numba has them, whose variables name another processor; "generic" has no features but those that are named.
-        name, features = os.environ.get("NUMBA_CPU_NAME"), os.environ.get("NUMBA_CPU_FEATURES")
-        if features is None and name is not None and name.lower() == "generic":
-            features = ""
-        self.processor = (
-            llvm.get_host_cpu_name() if name is None else name,
-            llvm.get_host_cpu_features().flatten() if features is None else features,
-        )
+        self.processor = _processor(llvm)
+        version = ".".join(map(str, llvm.llvm_version_info))
+        told = "\n".join((version, *self.processor, _own_digest()))
+        #: Digest of all that decides which machine code becomes of a kernel.
+        self.identity = hashlib.sha256(told.encode()).hexdigest()[:32]
         module = llvm.parse_assembly("")
         module.triple = llvm.get_process_triple()
         self.engine = llvm.create_mcjit_compiler(module, self.target())
@@ -306,20 +351,28 @@ class Machine:
         """Whether code of this version of LLVM for this system can be used here."""
         return tuple(llvm) <= tuple(self.llvm.llvm_version_info) and triple == self.llvm.get_process_triple()
 
-    def addresses(self, symbol: str, packed: bytes, key: tuple[str, ...], result: str) -> tuple[int, int] | None:
-        """Where the code of a symbol and its entry from Python lie in memory; None where they cannot be made."""
-        version = ".".join(map(str, self.llvm.llvm_version_info))
-        told = "\n".join((version, *self.processor, _own_digest(), symbol)).encode() + packed
-        name = f"{symbol[-24:]}-{hashlib.sha256(told).hexdigest()[:16]}.o"
-        kept = _kept(name)
-        if kept is None:
-            try:
-                kept = self.optimised(zlib.decompress(packed), calling.entered(symbol, key, result))
-            except (RuntimeError, zlib.error) as error:
-                logger.warning("the prepared code of %s cannot be used, numba compiles it: %s", symbol, error)
-                return None
-            _keep(name, kept)
-        self.engine.add_object_file(self.llvm.ObjectFileRef.from_data(kept))
+    def addresses(
+        self, symbol: str, packed: bytes, key: tuple[str, ...], result: str, outputs: tuple[int, ...], made: bytes = b""
+    ) -> tuple[int, int] | None:
+        """Where the code of a symbol and its entry from Python lie in memory; None where they cannot be made.
+
+        `packed` is LLVM's code and `made` what this machine makes of it, where that is at hand.
+        """
+        code: bytes | None = None
+        with contextlib.suppress(zlib.error):
+            code = zlib.decompress(made) if made else None
+        if code is None:
+            told = "\n".join((self.identity, symbol, repr(outputs))).encode() + packed
+            name = f"{symbol[-24:]}-{hashlib.sha256(told).hexdigest()[:16]}.o"
+            code = _kept(name)
+            if code is None:
+                try:
+                    code = self.optimised(zlib.decompress(packed), calling.entered(symbol, key, result, outputs))
+                except (RuntimeError, zlib.error) as error:
+                    logger.warning("the prepared code of %s cannot be used, numba compiles it: %s", symbol, error)
+                    return None
+                _keep(name, code)
+        self.engine.add_object_file(self.llvm.ObjectFileRef.from_data(code))
         self.engine.finalize_object()
         here, entry = (int(self.engine.get_function_address(name)) for name in (symbol, f"{symbol}_call"))
         return (here, entry) if here and entry else None
@@ -337,6 +390,22 @@ class Machine:
         builder = llvm.create_pass_builder(target, options)
         builder.getModulePassManager().run(module, builder)
         return bytes(target.emit_object(module))
+
+
+def _processor(llvm: Any) -> tuple[str, str]:
+    """Name and features of the processor, or of the one that numba's variables name in its place."""
+    named, features = os.environ.get("NUMBA_CPU_NAME"), os.environ.get("NUMBA_CPU_FEATURES")
+    name = str(llvm.get_host_cpu_name()) if named is None else named
+    if features is None and named is not None and named.lower() == "generic":
+        features = ""  # but those that are named
+    if features is None:
+        found = llvm.get_host_cpu_features()
+        asked = os.environ.get("NUMBA_ENABLE_AVX", "")
+        if asked == "0" or (not asked and (named or str(llvm.get_host_cpu_name())) in WITHOUT_AVX):
+            for feature in found:
+                found[feature] = found[feature] and not feature.startswith("avx")
+        features = found.flatten()
+    return name, features
 
 
 def processor_has(feature: str) -> bool:

@@ -79,13 +79,12 @@ define void @NRT_MemInfo_call_dtor(ptr %p) {
 """
 
 
-def translated(function: Callable[..., Any], dispatcher: Any, key: tuple[str, ...]) -> Prepared:
+def translated(kernel: Any, key: tuple[str, ...]) -> Prepared:
     """Translate a kernel for arguments of one kind.
 
     Parameters
     ----------
-    function : the kernel's Python function
-    dispatcher : what numba made of it
+    kernel : a `featreg.runtime.jit.Kernel`
     key : kinds of its arguments, as `featreg.runtime.precompiled.key_of` gives them
 
     Raises
@@ -93,6 +92,7 @@ def translated(function: Callable[..., Any], dispatcher: Any, key: tuple[str, ..
     ValueError
         It needs something of numba's or Python's that is not there when it runs.
     """
+    function, dispatcher = kernel.function, kernel.dispatcher
     typing, target = cpu_target.typing_context, cpu_target.target_context
     typing.refresh()
     target.refresh()
@@ -119,13 +119,18 @@ def translated(function: Callable[..., Any], dispatcher: Any, key: tuple[str, ..
     for thing in (*final.functions, *final.global_variables):
         if not thing.is_declaration and thing.name != symbol:
             thing.linkage = "internal"
+    if kernel.compact:
+        for part in final.functions:
+            if not part.is_declaration:
+                part.add_function_attribute("optsize")
     _keep_loops_apart(final)
+    outputs = _outputs(final, function, made.fndesc.llvm_func_name, key)
     _prune(final)
     needed = {f.name for f in final.functions if f.is_declaration and not f.name.startswith("llvm.")}
     needed |= {g.name for g in final.global_variables if g.is_declaration}
     if strange := needed - C_LIBRARY:
         raise ValueError(f"{function.__name__} of {', '.join(key)} needs {', '.join(sorted(strange))}")
-    return Prepared(key, result, symbol, bytes(final.as_bitcode()))
+    return Prepared(key, result, symbol, outputs, bytes(final.as_bitcode()))
 
 
 def llvm_version() -> list[int]:
@@ -186,6 +191,26 @@ def _has_loop(function: Any) -> bool:
     except CycleError:
         return True
     return False
+
+
+def _outputs(module: Any, function: Callable[..., Any], native: str, key: tuple[str, ...]) -> tuple[int, ...]:
+    """Places of the arrays whose samples a kernel may write: all but those of which LLVM knows that it only reads."""
+    copy = module.clone()
+    # By itself and called from outside, the kernel keeps its arguments, and LLVM says of each what is done with it.
+    kernel = copy.get_function(native)
+    kernel.linkage = "external"
+    kernel.add_function_attribute("noinline")
+    _prune(copy)
+    told = {
+        argument.name: set(b" ".join(argument.attributes).decode().split())
+        for argument in copy.get_function(native).arguments
+    }
+    names = function.__code__.co_varnames[: len(key)]
+    return tuple(
+        place
+        for place, (name, kind) in enumerate(zip(names, key, strict=True))
+        if ":" in kind and not told[f"arg.{name}.4"] & {"readonly", "readnone"}
+    )
 
 
 def _prune(module: Any) -> None:

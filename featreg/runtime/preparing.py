@@ -16,6 +16,7 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 #: Module of kernels -> kernel -> kinds of the arguments of each call, as `featreg.runtime.precompiled.key_of` has them.
 LIST = Path(__file__).with_name("kernels.json")
@@ -55,6 +56,9 @@ def _bare(root: str, modules: list[str]) -> None:
 
 def _module(name: str, kernels: dict[str, list[list[str]]]) -> dict[str, str]:
     """Translate the kernels of one module."""
+    # A helper that numba kept on disk is optimised for this processor already, and its loops have become vectors.
+    jit: Any = importlib.import_module("featreg.runtime.jit")
+    jit.keeping = False
     module = importlib.import_module(name)
     precompiled = importlib.import_module("featreg.runtime.precompiled")
     precompiling = importlib.import_module("featreg.runtime.precompiling")
@@ -67,11 +71,11 @@ def _module(name: str, kernels: dict[str, list[list[str]]]) -> dict[str, str]:
             continue
         for key in keys:
             try:
-                made = precompiling.translated(kernel.function, kernel.dispatcher, tuple(key))
+                made = precompiling.translated(kernel, tuple(key))
             except ValueError as error:
                 missing[f"{name}.{called}({', '.join(key)})"] = str(error)
                 continue
-            entries.setdefault((called, precompiled.source_digest(kernel)), []).append(made)
+            entries.setdefault((called, precompiled.source_digest(kernel)), []).append(precompiled.ready(made))
     content = precompiled.written(entries, precompiling.llvm_version(), precompiling.triple())
     files = importlib.import_module("featreg.runtime.files")
     files.write_atomic(precompiled.file_of(Path(str(module.__file__))), content)

@@ -68,7 +68,7 @@ def made(machine: Any, result: str) -> Callable[..., Any]:
     symbol = f"kernel_{result}"
     module = LLVM.parse_assembly(KERNEL.replace("RESULT", RESULTS[result]).replace("@kernel", f"@{symbol}"))
     module.triple = LLVM.get_process_triple()
-    code = machine.optimised(module.as_bitcode(), calling.entered(symbol, KEY, result))
+    code = machine.optimised(module.as_bitcode(), calling.entered(symbol, KEY, result, (0,)))
     machine.engine.add_object_file(LLVM.ObjectFileRef.from_data(code))
     machine.engine.finalize_object()
     function = calling.callable_of(machine.engine.get_function_address(f"{symbol}_call"), KEY, "kernel")
@@ -115,6 +115,23 @@ def test_results_of_each_kind(calls: Calls) -> None:
 )  # fmt: skip
 def test_what_is_of_another_kind_is_left_to_the_caller(calls: Calls, other: dict[str, Any]) -> None:
     assert calls["float"](*values(**other)) is calling.MISS
+
+
+def test_arrays_are_looked_at_as_numba_does(calls: Calls) -> None:
+    """The first array is written into by one of the kernels, the second is only read."""
+    call, locked = calls["float"], np.eye(4, dtype=np.int16)
+    locked.flags.writeable = False
+    assert call(*values(c=locked)) == call(*values())
+    assert call(*values(c=np.broadcast_to(np.int16(0), (4, 4)))) == call(*values())
+    for kind, name, size in (("<f8", "a", 3), ("<i2", "c", 4)):
+        shifted = np.zeros(2 * size * 8 + 1, np.uint8)[1:].view(kind)[:size]
+        shifted = shifted.reshape(2, 2) if name == "c" else shifted
+        assert not shifted.flags.aligned
+        assert call(*values(**{name: shifted})) is calling.MISS
+    unwritable = values()
+    unwritable[0].flags.writeable = False
+    assert calls[""](*unwritable) is calling.MISS
+    assert unwritable[0][0] == 3.0
 
 
 def test_another_number_of_arguments_is_left_to_the_caller(calls: Calls) -> None:

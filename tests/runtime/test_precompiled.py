@@ -72,6 +72,94 @@ def test_prepared_code_gives_the_bits_of_numba() -> None:
     assert (ours[1][:5] >> np.uint64(32)).tolist() == bits.min(axis=1).tolist()
 
 
+def test_arrays_that_may_not_be_written_are_refused_as_numba_does() -> None:
+    """Where they are only read they are served: memory maps, broadcast views and arrays that somebody locked."""
+    in_place(corner_kernels)
+    numba_errors = pytest.importorskip("numba.core.errors")
+    kernel: Any = jit.Kernel(cast(Any, corner_kernels.in_order).function, "never")
+    known: dict[str, Any] = {"at": np.array([4, 7, 2]), "values": np.array([3, 9, 5], np.uint8), "width": 3}
+    known |= {"xy": np.zeros((2, 2), np.int64), "score": np.zeros(2, np.uint8)}
+
+    def locked(name: str) -> dict[str, Any]:
+        other = np.array(known[name])
+        other.flags.writeable = False
+        return known | {name: other}
+
+    for _ in range(2):
+        for name in ("at", "values"):
+            kernel(*locked(name).values())
+            assert known["score"].tolist() == [9, 5]
+            assert known["xy"].tolist() == [[1, 2], [2, 0]]
+            known["xy"][:], known["score"][:] = 0, 0
+        assert kernel._dispatcher is None
+    for _ in range(2):
+        for name in ("xy", "score"):
+            given = locked(name)
+            with pytest.raises(numba_errors.TypingError, match="readonly"):
+                kernel(*given.values())
+            assert not given[name].any()
+        kernel(*known.values())
+        known["xy"][:], known["score"][:] = 0, 0
+    assert len(kernel._bound) == 1
+
+
+def test_code_that_only_numba_makes_is_left_to_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in precompiled.OTHER_CODE:
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.delenv("FEATREG_KERNELS", raising=False)
+    assert not precompiled.left_to_numba()
+    for name, value in {"NUMBA_BOUNDSCHECK": "1", "NUMBA_DISABLE_JIT": "1", "NUMBA_OPT": "0"}.items():
+        monkeypatch.setenv(name, value)
+        assert precompiled.left_to_numba()
+        assert precompiled.current(cast(Any, corner_kernels.in_order)) == []
+        monkeypatch.setenv(name, precompiled.OTHER_CODE[name])
+        assert not precompiled.left_to_numba()
+
+
+def test_the_processor_is_the_one_that_numba_makes_code_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    codegen, config = (pytest.importorskip(f"numba.core.{name}") for name in ("codegen", "config"))
+    cases: list[dict[str, str]] = [
+        {}, {"ENABLE_AVX": "0"}, {"ENABLE_AVX": "1", "CPU_NAME": "sandybridge"}, {"CPU_NAME": "sandybridge"},
+        {"CPU_NAME": "generic"}, {"CPU_NAME": "haswell", "CPU_FEATURES": "+avx2"}, {"CPU_FEATURES": ""},
+    ]  # fmt: skip
+    for case in cases:
+        with monkeypatch.context() as patch:
+            for name in ("ENABLE_AVX", "CPU_NAME", "CPU_FEATURES"):
+                patch.delenv(f"NUMBA_{name}", raising=False)
+            for name, value in case.items():
+                patch.setenv(f"NUMBA_{name}", value)
+            config.reload_config()
+            made = codegen.JITCPUCodegen.__new__(codegen.JITCPUCodegen)
+            numbas = made._get_host_cpu_name(), made._get_host_cpu_features()
+            assert precompiled._processor(LLVM) == numbas, case
+    config.reload_config()
+
+
+def test_machine_code_of_another_processor_is_left_aside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What lies ready is used without anything made or kept; else LLVM's code is optimised, and the object kept."""
+    in_place(motion_kernels)
+    monkeypatch.setattr(precompiled, "folder", lambda: tmp_path)
+    kernel: Any = motion_kernels.matches_of_turns
+    entry = precompiled.current(kernel)[0]
+    key, content = tuple(entry["key"]), precompiled.file_of(kernel.path).read_bytes()
+    header, _, body = content.partition(b"\n")
+    start, size = entry["made"]
+    damaged = body[:start] + bytes(size) + body[start + size :]
+    here = json.dumps(json.loads(header) | {"machine": precompiled.Machine().identity}).encode() + b"\n"
+    other = json.dumps(json.loads(header) | {"machine": "of another"}).encode() + b"\n"
+    if json.loads(header)["machine"] == precompiled.Machine().identity:
+        assert precompiled.prepared(kernel, key) is not None
+        assert not list(tmp_path.iterdir())
+    for number, text in enumerate((other + body, here + damaged)):
+        path = tmp_path / f"{number}_kernels.py"
+        path.write_bytes(kernel.path.read_bytes())
+        path.with_suffix(".bc").write_bytes(text)
+        monkeypatch.setattr(precompiled, "_digest", lambda _: entry["source"])
+        monkeypatch.setattr(precompiled, "_machine", precompiled.Machine)
+        assert precompiled.prepared(changed(kernel, path), key) is not None
+        assert len(list(tmp_path.glob("*.o"))) == 1
+
+
 def test_arguments_of_another_kind_are_no_call_of_it() -> None:
     in_place(motion_kernels)
     kernel: Any = motion_kernels.matches_of_turns
@@ -184,7 +272,7 @@ def test_an_object_of_other_last_passes_is_made_again(tmp_path: Path, monkeypatc
     for number in (1, 1, 2):
         monkeypatch.setattr(precompiled, "_own_digest", lambda number=number: str(number))
         found = precompiled.Machine().addresses(
-            entry["symbol"], body[start : start + size], tuple(entry["key"]), entry["result"]
+            entry["symbol"], body[start : start + size], tuple(entry["key"]), entry["result"], tuple(entry["outputs"])
         )
         assert found
     assert len(list(tmp_path.iterdir())) == 2
@@ -197,7 +285,7 @@ def test_an_object_that_was_cut_short_is_made_again(tmp_path: Path, monkeypatch:
     kernel: Any = motion_kernels.matches_of_turns
     entry, body = precompiled.current(kernel)[0], precompiled.file_of(kernel.path).read_bytes().partition(b"\n")[2]
     start, size = entry["at"]
-    told = entry["symbol"], body[start : start + size], tuple(entry["key"]), entry["result"]
+    told = entry["symbol"], body[start : start + size], tuple(entry["key"]), entry["result"], tuple(entry["outputs"])
     assert machine.addresses(*told)
     (kept,) = tmp_path.iterdir()
     whole = kept.read_bytes()
