@@ -45,6 +45,8 @@ class Brief(Descriptor):
     the image are dropped.
     """
 
+    shares_rows = True
+
     bits: Annotated[int, Ge(256), MultipleOf(256)] = 256
     radius: Annotated[float, Interval(ge=5, le=100)] = SUPPORT
     spread: Annotated[float, Ge(1)] = 9.0

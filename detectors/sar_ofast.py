@@ -17,7 +17,7 @@ from featreg.sar.gradients.gradient_field import from_base
 from featreg.sar.gradients.ratio import quantised_edges, ratio_gradients
 from featreg.sar.keypoints.corners import fast_corners, orientation, refine_centroid, refine_corner
 from featreg.sar.pyramid import REACH, SUPPORT, clear, level_count, pyramid, share_out, to_base
-from featreg.sar.speckle import despeckled_bytes_around
+from featreg.sar.speckle import despeckled_bytes_around, valid_count
 from featreg.types import Features, Image
 
 ORIENTATION_RADIUS = 15
@@ -63,6 +63,8 @@ class SarOfast(Detector):
     second on: a fifth more correct matches at four looks, twice as many at one), for half of the work. The number of
     valid pixels decides, that of the smaller image of a pair for both (`for_pair`).
     """
+
+    shares_rows = True
 
     n_features: Count = 5000
     levels: Count = 8
@@ -129,7 +131,7 @@ class SarOfast(Detector):
 
     def _skipped(self, image: Image) -> int:
         """How many of the finest levels are not searched: none for which no coarser one can hold a keypoint instead."""
-        valid, skipped = np.count_nonzero(image.mask), 0
+        valid, skipped = valid_count(image), 0
         most = min(self.skip, level_count(image.shape, self.skip + self.levels, self.factor) - self.levels)
         # What the last level is smaller by at most, so that more than a border is left of it.
         smaller = min(image.shape) / (2 * math.ceil(self.support + REACH) + 1)

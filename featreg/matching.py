@@ -122,11 +122,12 @@ def match(
         equal size, as the SAR-ORB paper does (section 2.2)
     executor, workers : what runs the blocks: "serial", "threads", "processes", a `concurrent.futures.Executor` or a
         `dask.distributed.Client`; None takes `workers` processes (default: every processor) where they can be forked
-        safely, else threads. Of whole images `workers` is the most threads of OpenCV. How the work is run, by
-        these and those below, never changes the result
+        safely, else threads. Of whole images `workers` is the most threads. How the work is run, by these and those
+        below, never changes the result
     scheduler : address of a dask scheduler that runs the blocks, in place of `executor`
-    threads : most threads on whole images, in place of `workers`; with two or more both images are looked at side by
-        side. A worker uses one
+    threads : most threads on whole images, in place of `workers`, and no more than there are processors. They share
+        out rows of the images and windows around points where there is a tenth of a millisecond of work for each, so
+        that below about 500 x 500 px they change nothing. A worker uses one
     resume : folder in which finished blocks are kept, and looked for; of whole images nothing is kept
     progress : called with (blocks done, blocks in all), of whole images with (steps done, steps in all)
     cancel : an event; when set, the work stops between blocks or stages with a `CancelledError`
@@ -172,7 +173,10 @@ def match(
             # Readers keep libraries' warnings quiet for a while, which is of the process: threads that end in another
             # order than they began would leave it so.
             with limited_threads(shared), warnings.catch_warnings():
-                images = side_by_side([partial(read, 0), partial(read, 1)])
+                both = [partial(read, 0), partial(read, 1)]
+                # Of arrays that are there the rows are shared out.
+                files = any(isinstance(one, str | Path) for one in given)
+                images = side_by_side(both) if files else [one() for one in both]
         else:
             for i in range(0 if size else 2):
                 images[i] = read(i)

@@ -128,7 +128,7 @@ def match(
             "--workers",
             parser=whole_number(1),
             metavar="N",
-            help="Worker processes where it is done in blocks, else most threads of all libraries.",
+            help="Worker processes where it is done in blocks, else most threads (as with --whole).",
             show_default="every processor, or as they choose",
         ),
     ] = None,

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import InputError
+from featreg.runtime.threads import in_parts
 from featreg.types import BoolArray
 
 SCALES = ("amplitude", "intensity", "db", "complex")
@@ -75,13 +76,13 @@ def real_pixels(
     """
     if samples.size and scale in (None, "amplitude"):
         # The common case in two quick passes: NaN fails both comparisons.
-        low, high = samples.min(), samples.max()
+        low, high = _extremes(samples)
         plain = scale is not None or said is None or samples.dtype.kind != "f"
         plain = plain or (valid is None and _by_words(said, samples.dtype, samples) == "amplitude")
         if plain and low >= 0 and high <= np.finfo(np.float32).max:
             if valid is None and low == high and content:
                 raise NoContentError(_constant(name, float(low)))
-            pixels = samples.astype(np.float32, order="C", copy=not owned)
+            pixels = _as_float32(samples, owned)
             if valid is not None and content:
                 check_content(pixels, valid, name)
             return pixels, None if valid is None else valid.copy(), "amplitude"
@@ -116,6 +117,31 @@ def real_pixels(
     if content:
         check_content(pixels, valid, name)
     return pixels, valid, scale
+
+
+def _extremes(samples: NDArray[Any]) -> tuple[Any, Any]:
+    """The least and the greatest sample; NaN where one is NaN."""
+    found: list[tuple[Any, Any]] = []
+
+    def part(first: int, stop: int) -> None:
+        found.append((samples[first:stop].min(), samples[first:stop].max()))
+
+    in_parts(part, len(samples), samples[0].size)
+    lows, highs = zip(*found, strict=True)
+    return np.min(lows), np.max(highs)
+
+
+def _as_float32(samples: NDArray[Any], owned: bool) -> NDArray[np.float32]:
+    """Samples as contiguous float32; themselves where they are and may be kept."""
+    if owned and samples.dtype == np.float32 and samples.flags.c_contiguous:
+        return samples
+    pixels = np.empty(samples.shape, np.float32)
+
+    def part(first: int, stop: int) -> None:
+        pixels[first:stop] = samples[first:stop]
+
+    in_parts(part, len(samples), samples[0].size)
+    return pixels
 
 
 def _check_decibels(values: NDArray[Any], name: str) -> None:

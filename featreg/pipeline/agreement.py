@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from featreg.geometry import Affine
 from featreg.geometry.robust import KINDS, MEDIAN_LENGTH, TUKEY
 from featreg.interfaces import Model
-from featreg.runtime.threads import side_by_side
+from featreg.runtime.threads import in_parts, side_by_side
 from featreg.sar.correlation import Peaks, local_correlations, peaks
+from featreg.sar.filtered_rows import filtered_rows
 from featreg.sar.speckle import filled_amplitude, log_amplitude, log_floor
 from featreg.types import BoolArray, FloatArray, Image, IntArray
 
@@ -29,6 +30,8 @@ U8 = NDArray[np.uint8]
 #: The images are compared by samples of 4 px a side, of 2 px where one is shorter than SHORT px, less a Gaussian mean
 #: of SHADING samples.
 STEP, SHORT, SHADING = 4, 240, 3.0
+#: OpenCV's Gaussian of float maps reaches to four standard deviations.
+SHADING_REACH = 12
 #: Standard deviation of the Gaussian by which speckle is reduced, px, and most px of the secondary that a sample shows.
 SMOOTHING, WIDEST = 1.0, 12
 #: Between every so many samples along x and y a model is taken as bilinear.
@@ -162,8 +165,7 @@ class Agreement:
             return None
         nodes, zoom = _mapped(model, size, step)
         unit = step // 2
-        # Made here, large ones are shared out to threads; within one of two things side by side they would not be.
-        views = side_by_side([partial(_view, reference, unit, 1.0), partial(_view, secondary, unit, zoom)])
+        views = _view(reference, unit, 1.0), _view(secondary, unit, zoom)
         there, valid = _sampled(secondary, views[1], nodes, zoom, size, step, _usable(reference, without), without)
         if np.count_nonzero(valid) < (2 * HALF + 1) ** 2:
             return None
@@ -229,8 +231,9 @@ class Agreement:
         structured = valid & (structure >= STRUCTURE)
         if np.count_nonzero(structured) < 0.1 * np.count_nonzero(valid):
             return None
-        ranked = np.sort(local[structured])
-        return float(ranked[: len(ranked) // 2 + 1].mean())
+        alike = local[structured]
+        middle = len(alike) // 2
+        return float(np.partition(alike, middle)[: middle + 1].mean(dtype=np.float64))
 
     @cached_property
     def whole(self) -> tuple[float, float, tuple[float, float], float]:
@@ -253,10 +256,10 @@ class Agreement:
             here, there, step, side = smaller(here, 2), smaller(there, 2), 2 * step, side // 2
         # OpenCV's transform takes two thirds of the time of numpy's.
         shape = tuple(fast_length(n + n // 2) for n in here.shape)
-        a, b = (cv2.dft(_framed(view, shape)) for view in (here, there))
+        a, b = side_by_side([partial(_spectrum, view, shape) for view in (here, there)])
         norm = float(np.sqrt(np.vdot(here, here) * np.vdot(there, there))) + 1e-30
-        straight = cv2.idft(cv2.mulSpectrums(b, a, 0, conjB=True), flags=cv2.DFT_SCALE)
-        turned = cv2.minMaxLoc(cv2.idft(cv2.mulSpectrums(a, b, 0), flags=cv2.DFT_SCALE))[1] / norm
+        straight, turned_over = side_by_side([partial(_product, b, a, True), partial(_product, a, b, False)])
+        turned = cv2.minMaxLoc(turned_over)[1] / norm
         model = -math.inf
         for rows in (slice(0, side + 1), slice(-side, None)):
             for columns in (slice(0, side + 1), slice(-side, None)):
@@ -286,14 +289,19 @@ def _view(image: Image, unit: int, zoom: float) -> View:
         logs = log_amplitude(image)
     else:
         logs = np.empty((image.shape[0] // 2, image.shape[1] // 2), np.float32)
-        kernels.halved_logarithms(np.ascontiguousarray(filled_amplitude(image)), log_floor(image), logs)
+        amplitude, floor = np.ascontiguousarray(filled_amplitude(image)), log_floor(image)
+
+        def part(first: int, stop: int) -> None:
+            kernels.halved_logarithms(amplitude[2 * first : 2 * stop], floor, logs[first:stop])
+
+        in_parts(part, len(logs), image.shape[1])
     wide = max(1, min(round(2 * zoom), WIDEST // unit))
     reach = math.ceil(2 * SMOOTHING / unit)
     gaussian = cv2.getGaussianKernel(2 * reach + 1, SMOOTHING / unit).ravel()
     taps = np.convolve(gaussian, np.full(wide, 1 / wide)).astype(np.float32)
     # The middle of an even number of taps lies half a sample before that which OpenCV takes.
     return View(
-        np.asarray(cv2.sepFilter2D(logs, -1, taps, taps), np.float32),
+        filtered_rows(lambda rows: cv2.sepFilter2D(rows, -1, taps, taps), logs, len(taps)),
         1 / unit,
         0.5 / unit - 0.5 + (0.5 if wide % 2 == 0 else 0.0),
     )
@@ -344,10 +352,17 @@ def _sampled(
         reach = 0
     out, valid = np.empty(size[::-1], np.float32), np.empty(size[::-1], np.bool_)
     tall, wide = view.pixels.shape
-    kernels.sampled(
-        view.pixels.ravel(), tall, wide, view.scale, view.offset, nodes, APART, step, first_mask, second_mask,
-        reach, np.array(secondary.shape), out, valid,
-    )  # fmt: skip
+    tiles = np.ones(tuple(-(-n // kernels.TILE) for n in second_mask.shape), np.uint8)
+    kernels.clear_tiles(second_mask, tiles)
+    pixels, sides = view.pixels.ravel(), np.array(secondary.shape)
+
+    def part(first: int, stop: int) -> None:
+        kernels.sampled(
+            pixels, tall, wide, view.scale, view.offset, nodes, APART, step, first_mask, second_mask, tiles, reach,
+            sides, first, stop, out, valid,
+        )  # fmt: skip
+
+    in_parts(part, *out.shape)
     return out, valid
 
 
@@ -363,13 +378,23 @@ def contrasts(here: F32, there: F32, valid: BoolArray) -> tuple[F32, F32]:
     """Two maps less their local means over the valid samples; 0 elsewhere."""
     import cv2
 
-    if valid.all():
-        first, second = (view - cv2.GaussianBlur(view, (0, 0), SHADING) for view in (here, there))
-        return np.asarray(first, np.float32), np.asarray(second, np.float32)
-    weight = valid.astype(np.float32)
-    per = weight / np.maximum(cv2.GaussianBlur(weight, (0, 0), SHADING), 1e-6)
-    first, second = (view * weight - cv2.GaussianBlur(view * weight, (0, 0), SHADING) * per for view in (here, there))
-    return np.asarray(first, np.float32), np.asarray(second, np.float32)
+    whole, height = bool(valid.all()), here.shape[0]
+    first, second = np.empty_like(here), np.empty_like(there)
+
+    def part(top: int, bottom: int) -> None:
+        above = max(top - SHADING_REACH, 0)
+        rows = slice(above, min(bottom + SHADING_REACH, height))
+        inner = slice(top - above, bottom - above)
+        if not whole:
+            weight = valid[rows].astype(np.float32)
+            per = weight[inner] / np.maximum(cv2.GaussianBlur(weight, (0, 0), SHADING)[inner], 1e-6)
+        for view, out in ((here, first), (there, second)):
+            shown = view[rows] if whole else view[rows] * weight
+            mean = cv2.GaussianBlur(shown, (0, 0), SHADING)[inner]
+            out[top:bottom] = shown[inner] - (mean if whole else mean * per)
+
+    in_parts(part, *here.shape)
+    return first, second
 
 
 def fast_length(n: int) -> int:
@@ -388,11 +413,20 @@ def fast_length(n: int) -> int:
         n += 8
 
 
-def _framed(view: F32, shape: tuple[int, ...]) -> F32:
-    """A map in the upper left corner of a larger one of zeros."""
+def _product(first: F32, second: F32, conjugate: bool) -> F32:
+    """What two spectra are multiplied, the second conjugate for a correlation."""
+    import cv2
+
+    return np.asarray(cv2.idft(cv2.mulSpectrums(first, second, 0, conjB=conjugate), flags=cv2.DFT_SCALE), np.float32)
+
+
+def _spectrum(view: F32, shape: tuple[int, ...]) -> F32:
+    """The transform of a map in the upper left corner of a larger one of zeros."""
+    import cv2
+
     out = np.zeros(shape, np.float32)
     out[: view.shape[0], : view.shape[1]] = view
-    return out
+    return np.asarray(cv2.dft(out), np.float32)
 
 
 def _better(found: Peaks, at_model: FloatArray) -> BoolArray:

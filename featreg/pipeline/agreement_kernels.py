@@ -34,10 +34,9 @@ def halved_logarithms(amplitude: F32, floor: np.float32, out: F32) -> None:
 
 
 @compiled
-def _clear_tiles(mask: U8) -> U8:
-    """(h, w) 1 for each tile of `TILE` px a side, cut off at the border, whose pixels of a mask (H, W) all count."""
+def clear_tiles(mask: U8, tiles: U8) -> None:
+    """Set to 0, of tiles (h, w) of `TILE` px a side, those in which a pixel of a mask (H, W) does not count."""
     height, width = mask.shape
-    tiles = np.ones(((height + TILE - 1) // TILE, (width + TILE - 1) // TILE), np.uint8)
     line = np.empty(width, np.uint8)
     for i in range(tiles.shape[0]):
         line[:] = np.uint8(1)
@@ -48,7 +47,6 @@ def _clear_tiles(mask: U8) -> U8:
         for x in range(width):
             if line[x] == 0:
                 tiles[i, x // TILE] = 0
-    return tiles
 
 
 @compiled
@@ -94,7 +92,8 @@ def _square_clear(mask: U8, u: int, v: int, reach: int) -> bool:
 @compiled
 def sampled(
     view: F32, tall: int, wide: int, scale: float, offset: float, nodes: FloatArray, apart: int, step: int,
-    first_mask: U8, second_mask: U8, reach: int, shape: I64, out: F32, valid: BoolArray,
+    first_mask: U8, second_mask: U8, tiles: U8, reach: int, shape: I64, top: int, bottom: int, out: F32,
+    valid: BoolArray,
 ) -> None:  # fmt: skip
     """Sample a view of the secondary at squares of the reference, and say which of these both images hold.
 
@@ -107,18 +106,19 @@ def sampled(
     apart, step : as said, and the side of a square, px
     first_mask : (H, W) pixels of the reference that are valid, 0 or 1; of no size where all are
     second_mask : the same of the secondary
+    tiles : of it, 1 where `clear_tiles` leaves it
     reach : a pixel of the secondary counts where all are valid up to so many px from it along x and y
     shape : (H, W) of the secondary
+    top, bottom : the first row of squares that is filled, and that behind the last
     out : (h, w) filled with the view at the middle of each square, bilinearly, its rim going on beyond it; 0 where not
         valid
     valid : (h, w) filled: the square lies in both images, and all in it is valid
     """
-    count, right, bottom = out.shape[1], np.float32(wide - 1), np.float32(tall - 1)
+    count, last_u, last_v = out.shape[1], np.float32(wide - 1), np.float32(tall - 1)
     none, width = np.float32(0), np.uint64(wide)
     low, high_u, high_v = -0.5 + EDGE_PX, shape[1] - 0.5 - EDGE_PX, shape[0] - 0.5 - EDGE_PX
     at, line = np.empty((6, count)), np.empty(first_mask.shape[1], np.uint8)
-    tiles = _clear_tiles(second_mask)
-    for i in range(out.shape[0]):
+    for i in range(top, bottom):
         _on_row(nodes, apart, i, count, at)
         for j in range(count):
             reach_u, reach_v = 0.5 * (abs(at[2, j]) + abs(at[4, j])), 0.5 * (abs(at[3, j]) + abs(at[5, j]))
@@ -145,8 +145,8 @@ def sampled(
                     if valid[i, j]:
                         valid[i, j] = _square_clear(second_mask, int(at[0, j] + 0.5), int(at[1, j] + 0.5), reach)
         for j in range(count):
-            across = min(max(np.float32(at[0, j] * scale + offset), none), right)
-            down = min(max(np.float32(at[1, j] * scale + offset), none), bottom)
+            across = min(max(np.float32(at[0, j] * scale + offset), none), last_u)
+            down = min(max(np.float32(at[1, j] * scale + offset), none), last_v)
             # On the last column or row all of the weight lies beyond the middle.
             column, row = min(int(across), wide - 2), min(int(down), tall - 2)
             fx, fy = across - np.float32(column), down - np.float32(row)

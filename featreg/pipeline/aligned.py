@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-from functools import partial
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from featreg.interfaces import Model
-from featreg.runtime.threads import side_by_side
+from featreg.runtime.threads import in_parts
 from featreg.sar.bridging import on_sample
 from featreg.sar.correlation import Peaks
 from featreg.sar.pyramid import clear
@@ -30,8 +28,6 @@ STEP_PX = 8.0
 MOST_SIDE, PART_SIDE = 32_000, 4_096
 #: An affine map that stretches more along an axis is left to OpenCV.
 MOST_STRETCHED = 30.0
-#: Pixels of a grid from which on threads share out its rows, and into how many parts.
-LARGE, PARTS = 1 << 21, 8
 
 
 def resampled(view: F32, model: Model, shape: tuple[int, int]) -> F32:
@@ -59,8 +55,7 @@ def _sampled(view: F32, affine: FloatArray, shape: tuple[int, int]) -> F32:
     def part(top: int, bottom: int) -> None:
         sampled_affinely(flat, height, width, affine, top, out[top:bottom])
 
-    edges = np.linspace(0, shape[0], 1 + (PARTS if out.size > LARGE else 1)).astype(int).tolist()
-    side_by_side([partial(part, *ends) for ends in pairwise(edges)])
+    in_parts(part, *shape)
     return out
 
 

@@ -16,6 +16,7 @@ from featreg.runtime.buffers import keeping
 from featreg.runtime.threads import side_by_side
 from featreg.runtime.timing import stage
 from featreg.sar.pyramid import pyramid, to_base
+from featreg.sar.speckle import valid_count
 from featreg.types import Features, FloatArray, Image, IntArray, Matches
 
 # The vote on a common rotation: how many features take part, the width of a bin, and how far (in standard
@@ -92,7 +93,7 @@ class FeatureMatcher(Matcher):
     def _share(self, *images: Image) -> float:
         """The share of their sides at which features are found in images."""
         wanted = self.pixels_per_feature * self.n_features
-        pixels = min(int(np.count_nonzero(image.mask)) for image in images) if wanted else 0
+        pixels = min(valid_count(image) for image in images) if wanted else 0
         if not pixels:
             return 1.0
         share = max(LEAST_SHARE, LEAST_SIDE / min(min(image.shape) for image in images), math.sqrt(wanted / pixels))
@@ -101,19 +102,19 @@ class FeatureMatcher(Matcher):
     def _matched(self, reference: Image, secondary: Image) -> Matches:
         with stage("detect"), keeping():
             detector = self.detector.for_pair(reference, secondary)
-            found = self._each(self._detect, [(detector, reference), (detector, secondary)])
+            found = self._each(self._detect, [(detector, reference), (detector, secondary)], detector)
         if not len(found[0]) or not len(found[1]):
             return Matches.empty()
         images = (reference, secondary)
         rotation = self._vote(detector, images, found)
         with stage("detect"):
             if rotation is None:
-                found = self._each(detector.oriented, list(zip(images, found, strict=True)))
+                found = self._each(detector.oriented, list(zip(images, found, strict=True)), detector)
             else:
                 turns = (0.0, rotation)
                 found = [replace(f, angle=np.full(len(f), turn)) for f, turn in zip(found, turns, strict=True)]
         with stage("describe"):
-            a, b = self._each(self._describe, [(reference, found[0]), (secondary, found[1])])
+            a, b = self._each(self._describe, [(reference, found[0]), (secondary, found[1])], self.descriptor)
         with stage("match"):
             pairs, score = self.nearest.match_features(a, b)
         i, j = pairs.T
@@ -138,10 +139,16 @@ class FeatureMatcher(Matcher):
             raise ParameterError(f"detector {name} gives no descriptors: choose one, as in descriptor='brief'")
         return self.descriptor.describe_features(image, features)
 
-    def _each(self, function: Callable[..., Features], given: Sequence[tuple[Any, ...]]) -> list[Features]:
-        """A function of each image, side by side where threads were asked for and all parts are arrays and kernels."""
+    def _each(
+        self, function: Callable[..., Features], given: Sequence[tuple[Any, ...]], part: Plugin | None
+    ) -> list[Features]:
+        """What a part makes of each image, side by side where threads were asked for, and it does not use them itself.
+
+        All parts must be arrays and kernels.
+        """
         work = [partial(function, *arguments) for arguments in given]
-        return side_by_side(work) if all(part.compiled for part in self.parts) else [one() for one in work]
+        apart = all(one.compiled for one in self.parts) and not (part is not None and part.shares_rows)
+        return side_by_side(work) if apart else [one() for one in work]
 
     def _vote(self, detector: Detector, images: tuple[Image, Image], found: list[Features]) -> float | None:
         described = self.descriptor is None and any(features.descriptors is not None for features in found)
@@ -149,11 +156,11 @@ class FeatureMatcher(Matcher):
             return None
         with stage("detect"):
             voters = [(image, f.best(VOTERS)) for image, f in zip(images, found, strict=True)]
-            voters = list(zip(images, self._each(detector.oriented, voters), strict=True))
+            voters = list(zip(images, self._each(detector.oriented, voters, detector), strict=True))
         if any((features.angle == features.angle[0]).all() for _, features in voters):
             return None
         with stage("describe"):
-            first, second = self._each(self._describe, voters)
+            first, second = self._each(self._describe, voters, self.descriptor)
         with stage("rotation"):
             pairs, _ = self.nearest.match_features(first, second)
             return common_rotation(second.angle[pairs[:, 1]] - first.angle[pairs[:, 0]])

@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from featreg.runtime.threads import in_parts
 from featreg.types import BoolArray, FloatArray, Image, IntArray, Matches, read_only
 
 F32 = NDArray[np.float32]
@@ -58,18 +59,16 @@ def identical_pixels(reference: Image, secondary: Image) -> BoolArray | None:
     """
     if reference.shape != secondary.shape:
         return None
-    from featreg.pipeline import identical_kernels as kernels
-
-    mask, highest = _both_valid(reference, secondary), np.empty(reference.shape[1], np.float32)
+    mask = _both_valid(reference, secondary)
     a, b = (np.ascontiguousarray(image.amplitude) for image in (reference, secondary))
     # As many as are of one amplitude; samples of complex images are identical where their phases are as well.
-    count = kernels.surveyed(a, b, mask, highest)
+    count, top = _surveyed(a, b, mask)
     same = _same(reference, secondary, mask) if count >= LEAST else None
     if same is not None:
         count = int(np.count_nonzero(same))
     if count > MOST * mask.size:
         return None
-    drawn = _drawn(a, b, mask, float(highest.max()))
+    drawn = _drawn(a, b, mask, top)
     if count >= LEAST or drawn is not None:
         same = _beyond_chance(_same(reference, secondary, mask) if same is None else same, a, b)
         same = same if drawn is None else same | drawn
@@ -78,6 +77,21 @@ def identical_pixels(reference: Image, secondary: Image) -> BoolArray | None:
     if _detail(reference, secondary) >= PATTERN and _likeness(reference, secondary, np.zeros_like(mask)) < ALIKE:
         return np.ones_like(mask)
     return None
+
+
+def _surveyed(a: F32, b: F32, mask: BoolArray) -> tuple[int, float]:
+    """How many valid pixels of two maps are equal, and the highest of both; 0 where none is valid."""
+    from featreg.pipeline import identical_kernels as kernels
+
+    found: list[tuple[int, float]] = []
+
+    def part(first: int, stop: int) -> None:
+        some, highest = slice(first, stop), np.empty(a.shape[1], np.float32)
+        count = kernels.surveyed(a[some], b[some], mask[some], highest)
+        found.append((count, float(highest.max())))
+
+    in_parts(part, *a.shape)
+    return sum(count for count, _ in found), max(top for _, top in found)
 
 
 def _both_valid(reference: Image, secondary: Image) -> BoolArray:
@@ -199,8 +213,16 @@ def _drawn(first: F32, second: F32, mask: BoolArray, top: float) -> BoolArray | 
     (median, ninth), (middle, upper) = (_deciles(view.ravel()[some]) for view in (first, second))
     dark, bright = np.float32(DRAWN_DARK * min(median, middle)), max(ninth, upper)
     grey, white = (np.float32(max(bright, share * top)) for share in (DRAWN_GREY, DRAWN_BRIGHT))
-    bits, counts = np.empty(mask.shape, np.uint8), np.empty(3, np.int64)
-    kernels.drawable(first, second, mask, dark, grey, white, np.float32(GREY_NOISE * top), bits, counts)
+    bits, noise = np.empty(mask.shape, np.uint8), np.float32(GREY_NOISE * top)
+    found_counts: list[IntArray] = []
+
+    def part(begin: int, end: int) -> None:
+        some, of_part = slice(begin, end), np.empty(3, np.int64)
+        kernels.drawable(first[some], second[some], mask[some], dark, grey, white, noise, bits[some], of_part)
+        found_counts.append(of_part)
+
+    in_parts(part, *mask.shape)
+    counts = sum(found_counts, np.zeros(3, np.int64))
     found: NDArray[np.uint8] | None = None
     for both, either, count in (
         (kernels.DARK_BOTH, kernels.DARK_EITHER, counts[0]),

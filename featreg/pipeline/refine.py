@@ -23,7 +23,7 @@ from featreg.pipeline.aligned import (
     variance_factor,
 )
 from featreg.runtime.parameters import Positive, checked
-from featreg.runtime.threads import side_by_side
+from featreg.runtime.threads import in_parts, side_by_side
 from featreg.sar.bridging import on_sample
 from featreg.sar.correlation import Peaks, local_correlations, peaks, peaks_near, peaks_uphill
 from featreg.sar.correlation_filter import (
@@ -280,10 +280,19 @@ def strongest_of_cells(view: F32, count: int, margin: int) -> IntArray:
     rows, cols = (y1 - y0) // side, (x1 - x0) // side
     if rows < 1 or cols < 1:
         return np.zeros((0, 2), np.int64)
-    strength = cv2.magnitude(cv2.Sobel(view, cv2.CV_32F, 1, 0), cv2.Sobel(view, cv2.CV_32F, 0, 1))
-    strength = strength[y0 : y0 + rows * side, x0 : x0 + cols * side]
-    cells = strength.reshape(rows, side, cols, side).swapaxes(1, 2).reshape(rows, cols, side * side)
-    best = cells.argmax(axis=2)
+    best = np.empty((rows, cols), np.int64)
+
+    def part(first: int, stop: int) -> None:
+        for row in range(first, stop):
+            top = y0 + row * side
+            # One row more on either side, where there is one, tells the gradient of the outer ones.
+            above = max(top - 1, 0)
+            some = view[above : min(top + side + 1, height)]
+            strength = cv2.magnitude(cv2.Sobel(some, cv2.CV_32F, 1, 0), cv2.Sobel(some, cv2.CV_32F, 0, 1))
+            cells = strength[top - above : top - above + side, x0 : x0 + cols * side].reshape(side, cols, side)
+            best[row] = cells.swapaxes(0, 1).reshape(cols, side * side).argmax(axis=1)
+
+    in_parts(part, rows, side * width)
     y = y0 + np.arange(rows)[:, None] * side + best // side
     x = x0 + np.arange(cols)[None, :] * side + best % side
     return np.column_stack([x.ravel(), y.ravel()]).astype(np.int64)

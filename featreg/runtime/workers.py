@@ -10,7 +10,7 @@ import threading
 import time
 from multiprocessing.connection import wait
 
-from featreg.runtime.threads import limit_algebra, use_one_thread
+from featreg.runtime.threads import end_helpers, limit_algebra, use_one_thread
 
 
 def start_worker(keep_memory: bool = False) -> None:
@@ -42,8 +42,10 @@ def _end_with_parent() -> None:
 def can_fork() -> bool:
     """Whether this process may be forked: on Linux, and while it has one thread, those of libraries included.
 
-    A fork copies one thread only; a lock that another one held would stay locked for ever.
+    A fork copies one thread only; a lock that another one held would stay locked for ever. Those that wait for work of
+    ours are ended first.
     """
+    end_helpers()
     if sys.platform != "linux":
         return False
     try:

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
-from itertools import pairwise
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from featreg.errors import ParameterError
-from featreg.runtime.threads import side_by_side
+from featreg.runtime.threads import in_parts
 from featreg.types import BoolArray, FloatArray, IntArray
 
 F32 = NDArray[np.float32]
@@ -23,8 +21,6 @@ FEW = 1.5
 MOST_ROOT = 46_340
 #: A map's level is told by every so many rows and columns.
 SPARSE = 16
-#: Pixels of windows from which on threads share out the points, and into how many parts.
-LARGE, PARTS = 1 << 20, 8
 
 
 @dataclass(frozen=True)
@@ -92,8 +88,7 @@ def local_correlations(
                 flat_a, width_a, flat_b, width_b, xs[some], ys[some], us[some], vs[some], half, search, found[some]
             )
 
-        edges = np.linspace(0, len(xy), 1 + (PARTS if len(xy) * side**2 >= LARGE else 1)).astype(int).tolist()
-        side_by_side([partial(part, *ends) for ends in pairwise(edges)])
+        in_parts(part, len(xy), side**2)
         return _in_order(found, order)
     correlation_kernels.correlations(_about_zero(first), _about_zero(second), xs, ys, half, search, found)
     return _in_order(found, order)
@@ -185,8 +180,7 @@ def _uphill(
             half, search, apart, now[some], nine[some],
         )  # fmt: skip
 
-    edges = np.linspace(0, len(xy), 1 + (PARTS if len(xy) * (2 * half + 1) ** 2 >= LARGE else 1)).astype(int).tolist()
-    side_by_side([partial(part, *ends) for ends in pairwise(edges)])
+    in_parts(part, len(xy), (2 * half + 1) ** 2)
     return _in_order(now, order), _in_order(nine, order)
 
 
@@ -194,7 +188,13 @@ def _steps(values: F32, side: int) -> np.float32:
     """How many steps of whole numbers make one, so that sums of products over windows of `side` px fit in 32 bits."""
     import cv2
 
-    low, high, _, _ = cv2.minMaxLoc(values)
+    found: list[tuple[float, float]] = []
+
+    def part(first: int, stop: int) -> None:
+        found.append(cv2.minMaxLoc(values[first:stop])[:2])
+
+    in_parts(part, len(values), 1)
+    low, high = min(one[0] for one in found), max(one[1] for one in found)
     return np.float32(MOST_ROOT // side / max(high - low, 1e-30))
 
 

@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from featreg.runtime.threads import in_parts
 from featreg.types import BoolArray, FloatArray, Image, everywhere, read_only
 
 SMALLEST = 32
@@ -96,7 +97,13 @@ def _level(image: Image, number: int, factor: float) -> Image:
     valid = ALL if whole else np.ascontiguousarray(before.mask).view(np.uint8)
     across, down = _neighbours(before.shape[1], width), _neighbours(before.shape[0], height)
     amplitude = np.ascontiguousarray(before.amplitude)
-    pyramid_kernels.interpolated(amplitude, valid, *across, *down, pixels, ALL if whole else mask.view(np.uint8))
+
+    def part(first: int, stop: int) -> None:
+        some = slice(first, stop)
+        to = ALL if whole else mask[some].view(np.uint8)
+        pyramid_kernels.interpolated(amplitude, valid, *across, down[0][some], down[1][some], pixels[some], to)
+
+    in_parts(part, height, width)
     return Image(read_only(pixels), read_only(mask), source_dtype=image.source_dtype)
 
 

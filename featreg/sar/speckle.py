@@ -5,25 +5,24 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Iterator
-from functools import partial
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from featreg.runtime.threads import side_by_side
+from featreg.runtime.threads import in_parts
 from featreg.types import Image, IntArray
 
 F32 = NDArray[np.float32]
 
 # Relative to the mean amplitude: darker pixels (shadow, quantised zeros) say nothing more.
 FLOOR = 1e-2
+# Images of more pixels are summed in bands of so many rows.
+LARGE, BAND = 1 << 20, 64
 # Pixels of a strip, and steps of a byte for one of the natural logarithm.
 STRIP, STEPS = 1 << 16, 28
-# Pixels of an image from which on threads share out its rows, and into how many parts.
-LARGE, PARTS = 1 << 21, 8
 # Side of the squares in which bytes are made where points are, px, and the share of an image from which on all are.
 TILE, MANY = 16, 0.6
+NO_ROWS, NO_BYTES = np.empty((0, 0), np.float32), np.empty((0, 0), np.uint8)
 # What the mean of the logarithm lies below the logarithm of the mean, about, of one look.
 BELOW_MEAN = 0.25
 # Side of the windows by which looks are told, variance below which one shows nothing, and the share of the most even.
@@ -99,7 +98,13 @@ def _filled_amplitude(image: Image) -> F32:
     amplitude = np.ascontiguousarray(image.amplitude)
     out = np.empty_like(amplitude)
     valid = np.ascontiguousarray(image.mask).view(np.uint8)
-    speckle_kernels.filled(amplitude.ravel(), valid.ravel(), np.float32(mean_amplitude(image)), out.ravel())
+    value = np.float32(mean_amplitude(image))
+
+    def part(first: int, stop: int) -> None:
+        some = slice(first, stop)
+        speckle_kernels.filled(amplitude[some].ravel(), valid[some].ravel(), value, out[some].ravel())
+
+    in_parts(part, *out.shape)
     return out
 
 
@@ -113,9 +118,18 @@ def gaussian_reach(sigma: float) -> int:
     return max(1, round(2.5 * sigma))
 
 
+def valid_count(image: Image) -> int:
+    """Return how many pixels are valid."""
+    return image.mask.size if image.all_valid else image.derive(_valid_count)
+
+
 def mean_amplitude(image: Image) -> float:
     """Return the mean amplitude of the valid pixels (0 where there is none)."""
     return image.derive(_mean_amplitude)
+
+
+def _valid_count(image: Image) -> int:
+    return int(np.count_nonzero(image.mask))
 
 
 def _equivalent_looks(image: Image) -> float:
@@ -135,8 +149,22 @@ def _equivalent_looks(image: Image) -> float:
 def _mean_amplitude(image: Image) -> float:
     import cv2
 
-    total = float(cv2.mean(image.amplitude)[0]) * image.mask.size
-    return total / max(int(np.count_nonzero(image.mask)), 1)
+    amplitude = image.amplitude
+    if amplitude.size <= LARGE:
+        total = float(cv2.mean(amplitude)[0]) * amplitude.size
+    else:
+        # In bands that do not depend on the threads, so that the sum does not.
+        rows = [slice(first, first + BAND) for first in range(0, len(amplitude), BAND)]
+        sums = np.empty(len(rows))
+
+        def part(first: int, stop: int) -> None:
+            for k in range(first, stop):
+                some = amplitude[rows[k]]
+                sums[k] = cv2.mean(some)[0] * some.size
+
+        in_parts(part, len(rows), BAND * amplitude.shape[1])
+        total = float(sums.sum())
+    return total / max(valid_count(image), 1)
 
 
 def _log_amplitude(image: Image) -> F32:
@@ -144,21 +172,18 @@ def _log_amplitude(image: Image) -> F32:
 
     amplitude = np.ascontiguousarray(filled_amplitude(image))
     out = np.empty_like(amplitude)
-    speckle_kernels.logarithms(amplitude.ravel(), log_floor(image), out.ravel())
+    floor = log_floor(image)
+
+    def part(first: int, stop: int) -> None:
+        speckle_kernels.logarithms(amplitude[first:stop].ravel(), floor, out[first:stop].ravel())
+
+    in_parts(part, *out.shape)
     return out
 
 
 def _despeckled(image: Image, sigma: float) -> F32:
     out = np.empty(image.shape, np.float32)
-
-    def part(start: int, stop: int) -> None:
-        for first, last, smooth in _smoothed_strips(image, sigma, start, stop):
-            out[first:last] = smooth
-
-    if out.size <= LARGE:
-        _smooth(image, sigma, slice(None), out, np.empty((0, 0), np.uint8))
-    else:
-        side_by_side([partial(part, *ends) for ends in _parts(len(out))])
+    _smooth(image, sigma, out, NO_BYTES)
     return out
 
 
@@ -175,15 +200,8 @@ def _despeckled_halved(image: Image, sigma: float) -> F32:
             size = width, (last - first) // 2
             cv2.resize(smooth[:, : 2 * width], size, out[first // 2 : last // 2], 0, 0, cv2.INTER_AREA)
 
-    side_by_side([partial(part, *ends) for ends in _parts(2 * height)])
+    in_parts(part, 2 * height, image.shape[1], 2)
     return out
-
-
-def _parts(rows: int) -> Iterator[tuple[int, int]]:
-    """(first, behind the last) row of parts that threads share out; all but the last have even ends."""
-    edges = np.linspace(0, rows, PARTS + 1).astype(int) // 2 * 2
-    edges[-1] = rows
-    return pairwise(edges.tolist())
 
 
 def _smoothed_strips(image: Image, sigma: float, start: int, stop: int) -> Iterator[tuple[int, int, F32]]:
@@ -191,13 +209,17 @@ def _smoothed_strips(image: Image, sigma: float, start: int, stop: int) -> Itera
 
     Strips stay in the cache: of a large image only the amplitude is read and the result written.
     """
+    from featreg.sar.speckle_kernels import smoothed_logarithms as kernel
+
     reach = gaussian_reach(sigma)
+    amplitude = np.ascontiguousarray(filled_amplitude(image))
+    floor, taps, offset = _byte_terms(image, sigma)
     rows = max(2, STRIP // image.shape[1] // 2 * 2)
     for first in range(start, stop, rows):
         last = min(first + rows, stop)
         above, below = max(first - reach, 0), min(last + reach, image.shape[0])
         smooth = np.empty((below - above, image.shape[1]), np.float32)
-        _smooth(image, sigma, slice(above, below), smooth, np.empty((0, 0), np.uint8))
+        kernel(amplitude[above:below], floor, taps, np.float32(STEPS), offset, 0, len(smooth), smooth, NO_BYTES)
         yield first, last, smooth[first - above : last - above]
 
 
@@ -225,7 +247,7 @@ class _ByteView:
     def whole(self, image: Image) -> NDArray[np.uint8]:
         with self.lock:
             if not self.made.all():
-                _smooth(image, self.sigma, slice(None), np.empty((0, 0), np.float32), self.steps)
+                _smooth(image, self.sigma, NO_ROWS, self.steps)
                 self.made[:] = 2
         return self._seen()
 
@@ -249,9 +271,13 @@ class _ByteView:
         self.made[asked & (self.made == 0)] = 1
         floor, taps, offset = _byte_terms(image, self.sigma)
         amplitude = np.ascontiguousarray(filled_amplitude(image))
-        speckle_kernels.smoothed_logarithms_of_tiles(
-            amplitude, floor, taps, np.float32(STEPS), offset, self.made, TILE, self.steps
-        )
+
+        def part(first: int, stop: int) -> None:
+            speckle_kernels.smoothed_logarithms_of_tiles(
+                amplitude, floor, taps, np.float32(STEPS), offset, self.made, first, stop, TILE, self.steps
+            )
+
+        in_parts(part, len(self.made), TILE * image.shape[1])
 
 
 def _byte_view(image: Image, sigma: float) -> _ByteView:
@@ -268,16 +294,19 @@ def _byte_terms(image: Image, sigma: float) -> tuple[np.float32, F32, np.float32
     return log_floor(image), taps, np.float32(_byte_offset(image) + 0.5)
 
 
-def _smooth(image: Image, sigma: float, rows: slice, smooth: F32, steps: NDArray[np.uint8]) -> None:
-    """Write the smoothed log-amplitude of some rows to `smooth` or, in bytes, to `steps`: to that which has rows.
-
-    Beyond the first and the last of the rows they are mirrored.
-    """
+def _smooth(image: Image, sigma: float, smooth: F32, steps: NDArray[np.uint8]) -> None:
+    """Write the smoothed log-amplitude to `smooth` (H, W) or, in bytes, to `steps` (H, W): to that which has rows."""
     from featreg.sar import speckle_kernels
 
     floor, taps, offset = _byte_terms(image, sigma)
-    amplitude = np.ascontiguousarray(filled_amplitude(image)[rows])
-    speckle_kernels.smoothed_logarithms(amplitude, floor, taps, np.float32(STEPS), offset, smooth, steps)
+    amplitude = np.ascontiguousarray(filled_amplitude(image))
+
+    def part(top: int, bottom: int) -> None:
+        speckle_kernels.smoothed_logarithms(
+            amplitude, floor, taps, np.float32(STEPS), offset, top, bottom, smooth, steps
+        )
+
+    in_parts(part, *image.shape)
 
 
 def _byte_offset(image: Image) -> float:

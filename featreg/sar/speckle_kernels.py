@@ -37,9 +37,12 @@ def _in_steps(row: F32, gain: np.float32, offset: np.float32, out: U8) -> None:
 
 @compiled
 def smoothed_logarithms(
-    amplitude: F32, floor: np.float32, taps: F32, gain: np.float32, offset: np.float32, smooth: F32, steps: U8
-) -> None:
+    amplitude: F32, floor: np.float32, taps: F32, gain: np.float32, offset: np.float32, top: int, bottom: int,
+    smooth: F32, steps: U8,
+) -> None:  # fmt: skip
     """Logarithm of `amplitude` (H, W), at least that of `floor`, smoothed by a symmetric filter along x and along y.
+
+    Of the rows `top` to before `bottom`.
 
     `taps` (R + 1,), R >= 1, are those of the middle and of the pixels beside it; borders are mirrored. The rows that
     are needed at once stay in the cache. The result goes to `smooth` (H, W), or where `steps` is (H, W) there, as
@@ -51,7 +54,7 @@ def smoothed_logarithms(
     ring = np.empty((side, width), np.float32)
     line, total = np.empty(width + 2 * reach, np.float32), np.empty(width, np.float32)
     places = np.empty(side, np.int64)
-    for y in range(-reach, height):
+    for y in range(max(top - reach, 0) - reach, bottom):
         enter = y + reach
         if enter < height:
             logarithms(amplitude[enter], floor, line[reach : reach + width])
@@ -59,7 +62,7 @@ def smoothed_logarithms(
                 line[reach - k] = line[reach + mirrored(-k, width)]
                 line[reach + width - 1 + k] = line[reach + mirrored(width - 1 + k, width)]
             smoothed_along(line, taps, ring[enter % side])
-        if y < 0:
+        if y < top:
             continue
         for k in range(side):
             places[k] = mirrored(y + k - reach, height) % side
@@ -72,11 +75,13 @@ def smoothed_logarithms(
 
 @compiled
 def smoothed_logarithms_of_tiles(
-    amplitude: F32, floor: np.float32, taps: F32, gain: np.float32, offset: np.float32, wanted: U8, side: int, steps: U8
-) -> None:
+    amplitude: F32, floor: np.float32, taps: F32, gain: np.float32, offset: np.float32, wanted: U8, upper: int,
+    lower: int, side: int, steps: U8,
+) -> None:  # fmt: skip
     """As `smoothed_logarithms`, to `steps` (H, W), of the squares of `side` pixels whose number in `wanted` is 1.
 
-    `wanted` (rows, columns) of squares, those at the right and lower end being what is left; made ones become 2.
+    `wanted` (rows, columns) of squares, those at the right and lower end being what is left; made ones become 2. Of its
+    rows `upper` to before `lower` are looked at.
     """
     height, width = amplitude.shape
     reach = taps.shape[0] - 1
@@ -84,7 +89,7 @@ def smoothed_logarithms_of_tiles(
     ring = np.empty((count, width), np.float32)
     line, total = np.empty(width + 2 * reach, np.float32), np.empty(width, np.float32)
     places = np.empty(count, np.int64)
-    for row in range(wanted.shape[0]):
+    for row in range(upper, lower):
         top, bottom = row * side, min((row + 1) * side, height)
         column = 0
         while column < wanted.shape[1]:

@@ -7,20 +7,18 @@ Windows are squares (N, S, S) float32, taken from upper left corners (N, 2) on. 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from featreg.runtime.threads import side_by_side
+from featreg.runtime.threads import in_parts
 from featreg.sar.speckle import filled_amplitude, gaussian_reach, log_floor
 from featreg.types import BoolArray, FloatArray, Image, IntArray
 
 F32 = NDArray[np.float32]
 
-#: Windows that are worked on at a time, so that they stay in the cache, and parts that threads share out.
-CHUNK, PARTS = 32, 8
+#: Windows that are worked on at a time, so that they stay in the cache.
+CHUNK = 32
 #: A window needs at most so many times its side of the other image; beyond, the whole image is quicker.
 MOST_STRETCHED = 2.0
 
@@ -168,7 +166,5 @@ def _in_chunks(made: Callable[[IntArray], F32], given: IntArray, side: int) -> F
             stop = min(start + CHUNK, last)
             out[start:stop] = made(given[start:stop])
 
-    parts = min(PARTS, -(-len(given) // CHUNK))
-    edges = np.linspace(0, len(given), parts + 1).astype(int).tolist()
-    side_by_side([partial(part, *ends) for ends in pairwise(edges)])
+    in_parts(part, len(given), side**2, CHUNK)
     return out

@@ -12,6 +12,7 @@ from featreg.geometry import Affine, Homography
 from featreg.interfaces import Model
 from featreg.pipeline import aligned
 from featreg.pipeline.aligned import WholeWindows
+from featreg.runtime.threads import limited_threads
 from featreg.types import BoolArray, FloatArray, Image
 
 #: A map that turns, shifts and widens a little, and one that bends as well.
@@ -58,8 +59,9 @@ def test_an_affine_map_is_followed_to_a_thousandth_of_a_pixel(
     fine = view.astype(np.float64)
     upper, lower = ((1 - u) * fine[row, left] + u * fine[row, left + 1] for row in (top, top + 1))
     np.testing.assert_allclose(found.ravel(), (1 - v) * upper + v * lower, atol=1e-3)
-    monkeypatch.setattr(aligned, "LARGE", 1)
-    np.testing.assert_array_equal(aligned.resampled(view, model, shape), found)
+    monkeypatch.setattr("featreg.runtime.threads.LEAST", 1)
+    with limited_threads(2):
+        np.testing.assert_array_equal(aligned.resampled(view, model, shape), found)
 
 
 def test_maps_of_one_row_and_wide_stretches_are_resampled_too() -> None:

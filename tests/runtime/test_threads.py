@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import threading
+import time
 from typing import Any
 
 import cv2
@@ -14,7 +15,16 @@ import pytest
 
 import featreg
 from featreg.errors import ParameterError
-from featreg.runtime.threads import available_processors, limited_threads, side_by_side, single_threaded, worker_count
+from featreg.runtime import threads
+from featreg.runtime.threads import (
+    available_processors,
+    end_helpers,
+    in_parts,
+    limited_threads,
+    side_by_side,
+    single_threaded,
+    worker_count,
+)
 from featreg.simulate import sar_pair
 
 
@@ -35,7 +45,7 @@ def test_linear_algebra_is_limited_before_it_is_imported(count: Any, algebra: An
     assert done.stdout.split() == [str(seen)] * 2
 
 
-def test_work_runs_side_by_side_only_where_threads_were_asked_for() -> None:
+def test_work_runs_side_by_side_only_where_threads_were_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     here = threading.get_ident()
     assert side_by_side([threading.get_ident] * 3) == [here] * 3
     with limited_threads(1):
@@ -44,15 +54,59 @@ def test_work_runs_side_by_side_only_where_threads_were_asked_for() -> None:
 
     def met(name: str) -> tuple[str, int, list[int]]:
         meeting.wait()  # passes only where both run at once
-        return name, cv2.getNumThreads(), side_by_side([threading.get_ident] * 2)
+        return name, threading.get_ident(), side_by_side([threading.get_ident] * 2)
 
-    with limited_threads(2):
-        (first, threads, inner), (second, _, other) = side_by_side([lambda: met("a"), lambda: met("b")])
-        assert (first, second, threads) == ("a", "b", 1)
-        assert len({*inner, here}) == len({*other, here}) == 2
-        assert cv2.getNumThreads() == 2
+    def later() -> int:
+        time.sleep(0.01)
+        return threading.get_ident()
+
+    monkeypatch.setattr(threads, "available_processors", lambda: 2)
+    before = threading.active_count()
+    with limited_threads(5):
+        (first, one, inner), (second, two, other) = side_by_side([lambda: met("a"), lambda: met("b")])
+        assert (first, second) == ("a", "b")
+        # The thread that asks takes part, nothing is divided further inside, and no more run than there are processors.
+        assert here in (one, two)
+        assert one != two
+        assert inner == [one] * 2
+        assert other == [two] * 2
+        assert len({*side_by_side([later] * 9)}) == 2
         with pytest.raises(ZeroDivisionError):
-            side_by_side([lambda: 1 // 0, lambda: 1])
+            side_by_side([lambda: 1, lambda: 1 // 0, lambda: [][0]])
+        assert threading.active_count() == before + 1
+        end_helpers()
+        assert threading.active_count() == before
+        assert side_by_side([int, str]) == [0, ""]
+    assert threading.active_count() == before
+
+
+def test_parts_make_up_the_whole_whatever_their_number(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(threads, "available_processors", lambda: 3)
+    calls: list[tuple[int, int]] = []
+
+    def work(first: int, stop: int) -> None:
+        calls.append((first, stop))
+
+    def divided(count: int, size: int = threads.LEAST, step: int = 1) -> list[tuple[int, int]]:
+        calls.clear()
+        in_parts(work, count, size, step)
+        found = sorted(calls)
+        assert [one[1] for one in found[:-1]] == [other[0] for other in found[1:]]
+        assert (found[0][0], found[-1][1]) == (0, count)
+        return found
+
+    for count in (0, 1, 7, 100):
+        assert divided(count) == [(0, count)]
+    with limited_threads(3):
+        assert divided(0) == [(0, 0)]
+        assert divided(1) == [(0, 1)]
+        assert len(divided(1000)) == 12
+        assert len(divided(1000, size=threads.LEAST // 300)) == 3
+        assert len(divided(1000, size=threads.LEAST // 501)) == 1
+        even = divided(1001, step=8)
+        assert all(first % 8 == 0 for first, _ in even)
+        assert len(even) == 12
+        assert len(divided(20, step=16)) == 1
 
 
 def test_a_registration_gives_the_same_bits_for_any_number_of_threads() -> None:

@@ -263,7 +263,7 @@ def test_few_windows_give_the_same_bits_on_any_number_of_threads(monkeypatch: py
     first, second = rng.normal(size=(2, 120, 130)).astype(np.float32)
     xy = rng.integers(20, 100, (37, 2))
     whole, found = local_correlations(first, second, xy, 9, 2, xy + 1), []
-    monkeypatch.setattr("featreg.sar.correlation.LARGE", 1)
+    monkeypatch.setattr("featreg.runtime.threads.LEAST", 1)
     for threads in (1, 2, 3):
         with limited_threads(threads):
             np.testing.assert_array_equal(local_correlations(first, second, xy, 9, 2, xy + 1), whole)

@@ -8,15 +8,12 @@ import cv2
 import numpy as np
 import pytest
 
-from featreg.io import as_image
-from featreg.runtime.threads import limited_threads
 from featreg.sar.speckle import (
     BELOW_MEAN,
     FLOOR,
     despeckled,
     despeckled_bytes,
     despeckled_bytes_around,
-    despeckled_halved,
     filled_amplitude,
     log_amplitude,
     mean_amplitude,
@@ -58,18 +55,6 @@ def test_the_darkest_and_brightest_pixels_do_not_fold_over() -> None:
     pixels[:, 30:], pixels[:10, :10] = 1e-6, 1e3
     steps = despeckled_bytes(Image(pixels, np.ones(pixels.shape, np.bool_)))
     assert steps[5, 5] > steps[40, 10] >= steps[40, 50]
-
-
-def test_large_views_are_the_same_bits_in_parts_and_on_any_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
-    pixels = np.random.default_rng(0).gamma(2.0, 1.0, (301, 83)).astype(np.float32)
-    whole = despeckled(as_image(pixels)), despeckled_halved(as_image(pixels))
-    monkeypatch.setattr("featreg.sar.speckle.LARGE", 1)
-    monkeypatch.setattr("featreg.sar.speckle.STRIP", 700)
-    for threads in (1, 2, 3):
-        with limited_threads(threads):
-            parts = despeckled(as_image(pixels)), despeckled_halved(as_image(pixels))
-        for one, other in zip(parts, whole, strict=True):
-            np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.parametrize("shape", [(97, 61), (400, 333)])

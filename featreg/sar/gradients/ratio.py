@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from featreg.errors import ParameterError
 from featreg.runtime.buffers import scratch
+from featreg.runtime.threads import in_parts
 from featreg.sar.speckle import filled_amplitude, mean_amplitude
 from featreg.types import BoolArray, Image
 
@@ -35,6 +36,8 @@ SAMPLE, RANKS = 5_000, (0.5, 0.999)
 STEPS = 8192
 # Rows and columns of the tiles whose sums stay in the cache, and over how many alpha what decays is rounding.
 STRIP, TILE, FADED = 64, 768, 17
+# Tiles may be so many times wider where there are as few as an even number.
+WIDER = 1.25
 # Means between which the product of two sums of pixels, and of what is added to them, stays a float.
 FEW, MANY = 1e-9, 1e9
 NONE, NO_LENGTHS = np.empty((0, 0), np.float32), np.empty((0, 0), np.uint16)
@@ -134,11 +137,29 @@ def log_ratios(
 
     image, constants, halo = recursion(amplitude, alpha, floor, mean)
     height, width = image.shape
-    tile = max(TILE, 4 * halo) if len(lengths) else width
-    rows = max(STRIP, halo)
+    tile, rows = _tile(width, halo), max(STRIP, halo)
     room = (2, min(rows + halo, height) + 1, min(tile + 2 * halo, width))
-    up = scratch("sums from above", room)
-    ratio_kernels.log_ratios(image, *constants, halo, tile, rows, up, gx, gy, both, np.float32(STEPS), lengths)
+
+    def part(first: int, stop: int) -> None:
+        up = scratch("sums from above", room)
+        ratio_kernels.log_ratios(
+            image, *constants, halo, first * tile, min(stop * tile, width), tile, rows, up, gx, gy, both,
+            np.float32(STEPS), lengths,
+        )  # fmt: skip
+
+    in_parts(part, -(-width // tile), height * tile)
+
+
+def _tile(width: int, halo: int) -> int:
+    """How many columns of an image pass at a time: an even number of tiles where one is not enough, all about equal.
+
+    They follow from the width alone, as the sums to the sides begin anew in each of them.
+    """
+    most = max(TILE, 4 * halo)
+    if width <= most:
+        return width
+    count = 2 * -(-width // int(2 * WIDER * most))
+    return 16 * -(-width // (16 * count))
 
 
 Constants = tuple[np.float32, np.float32, np.float32, F32, F32]
@@ -221,7 +242,13 @@ def quantised_edges(
         top = float(strength[image.mask].max(initial=0))
     if not top > least:
         return np.zeros(image.shape, np.uint8)
-    return np.asarray(cv2.convertScaleAbs(strength, alpha=255.0 / top), np.uint8)
+    edges = np.empty(image.shape, np.uint8)
+
+    def part(first: int, stop: int) -> None:
+        cv2.convertScaleAbs(strength[first:stop], edges[first:stop], alpha=255.0 / top)
+
+    in_parts(part, *image.shape)
+    return edges
 
 
 def _quantiles(strength: F32 | U16, mask: BoolArray) -> tuple[float, float]:

@@ -183,6 +183,12 @@ def _lengths(
 
 
 @compiled
+def _taken(row: F32, out: F32) -> None:
+    for x in range(out.shape[0]):
+        out[x] = row[x]
+
+
+@compiled
 def _interleaved(gx: F32, gy: F32, out: F32) -> None:
     for x in range(gx.shape[0]):
         out[x, 0] = gx[x]
@@ -192,7 +198,8 @@ def _interleaved(gx: F32, gy: F32, out: F32) -> None:
 @compiled
 def log_ratios(
     image: F32, offset: np.float32, decay: np.float32, tiny: np.float32, share_x: F32, share_y: F32, halo: int,
-    tile: int, rows: int, up: F32, gx: F32, gy: F32, both: F32, steps: np.float32, lengths: U16,
+    begin: int, behind: int, tile: int, rows: int, up: F32, gx: F32, gy: F32, both: F32, steps: np.float32,
+    lengths: U16,
 ) -> None:  # fmt: skip
     """log(right / left) and log(below / above) of the weighted means of an image (H, W) plus an offset, or the length.
 
@@ -200,16 +207,16 @@ def log_ratios(
     at 1. The ratios go to `gx` and `gy` (H, W), or to `both` (H, W, 2), or their length times `steps` to `lengths`
     (H, W): to that which has rows.
 
-    The image passes in tiles of so many columns (only lengths do) and rows, so that the sums of one stay in the cache.
-    Those to the sides and from below begin `halo` pixels beyond it, where decay^halo is less than the rounding of a
-    float; those from above go on. `rows` and `halo` are multiples of eight. `up` (2, R, C) is room for the sums from
-    above of a tile's rows and halo and of the row above, R at most H + 1, and of its columns and halos. The short loops
-    stand in functions of their own: only so does the compiler prove them free of overlap and vectorise.
+    The columns `begin` to before `behind` pass in tiles of so many columns and rows, so that the sums of one stay in
+    the cache. Those to the sides and from below begin `halo` pixels beyond it, where decay^halo is less than the
+    rounding of a float; those from above go on. `rows` and `halo` are multiples of eight. `up` (2, R, C) is room for
+    the sums from above of a tile's rows and halo and of the row above, R at most H + 1, and of its columns and halos.
+    The short loops stand in functions of their own: only so does the compiler prove them free of overlap and vectorise.
     """
     height = image.shape[0]
     kept = up.shape[1]
-    for start in range(0, image.shape[1], tile):
-        stop = min(start + tile, image.shape[1])
+    for start in range(begin, behind, tile):
+        stop = min(start + tile, behind)
         one, end = max(start - halo, 0), min(stop + halo, image.shape[1])
         width, i, j = end - one, start - one, stop - one
         left, right = np.empty((8, width), np.float32), np.empty((8, width), np.float32)
@@ -251,14 +258,15 @@ def log_ratios(
                         own_left, own_right, left_above, right_above, below_left, below_right, beside, share, decay,
                         tiny, before[1:], after, row_y,
                     )  # fmt: skip
-                    _log_ratio(after, before[:width], tiny, row_x)
-                    _interleaved(row_x, row_y, both[y])
+                    _log_ratio(after[i:j], before[i:j], tiny, row_x[i:j])
+                    _interleaved(row_x[i:j], row_y[i:j], both[y, start:stop])
                 else:
                     _vertical_ratios(
                         own_left, own_right, left_above, right_above, below_left, below_right, beside, share, decay,
-                        tiny, before[1:], after, gy[y],
+                        tiny, before[1:], after, row_y,
                     )  # fmt: skip
-                    _log_ratio(after, before[:width], tiny, gx[y])
+                    _log_ratio(after[i:j], before[i:j], tiny, gx[y, start:stop])
+                    _taken(row_y[i:j], gy[y, start:stop])
 
 
 @compiled

@@ -102,16 +102,20 @@ def _peaks_of_row(above: U8, here: U8, below: U8, allowed: U8, least: np.uint8, 
 
 
 @compiled
-def collect_corners(image: U8, threshold: int, allowed: U8, wanted: int, at: I64, values: U8) -> int:
+def collect_corners(
+    image: U8, threshold: int, allowed: U8, start: int, stop: int, wanted: int, at: I64, values: U8
+) -> int:
     """Gather the local maxima of the FAST scores where `allowed`, in reading order; return how many.
+
+    Those of the rows `start` to before `stop`.
 
     `at` gets flat indices, `values` the scores. A maximum is left out where as many as are wanted stand before it that
     are as high. The scores of a few rows at a time are looked at while they are in the cache, and pixels skipped eight
     at a time where nothing stands.
     """
     height, width = image.shape
-    top, bottom = 0, height
-    while top < height and not allowed[top].any():
+    top, bottom = start, stop
+    while top < bottom and not allowed[top].any():
         top += 1
     while bottom > top and not allowed[bottom - 1].any():
         bottom -= 1

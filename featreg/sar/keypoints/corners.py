@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from featreg.runtime.threads import in_parts
 from featreg.sar.pyramid import REACH
 from featreg.types import BoolArray, FloatArray, IntArray
 
@@ -37,13 +38,27 @@ def fast_corners(
     """
     from featreg.sar.keypoints import corner_kernels
 
-    room = image.size // 4 + 1
-    at, values = np.empty(room, np.int64), np.empty(room, np.uint8)
-    flat = np.ascontiguousarray(image)
-    count = corner_kernels.collect_corners(flat, threshold, allowed.view(np.uint8), n_features, at, values)
-    most = min(count, n_features)
+    # Of four pixels at most one is a maximum.
+    height, width = image.shape
+    at, values = np.empty(height * width // 4 + 1, np.int64), np.empty(height * width // 4 + 1, np.uint8)
+    flat, good, counts = np.ascontiguousarray(image), allowed.view(np.uint8), {}
+
+    def part(first: int, stop: int) -> None:
+        room = slice(first * width // 4, stop * width // 4 + (stop == height))
+        counts[first] = (
+            room.start,
+            corner_kernels.collect_corners(flat, threshold, good, first, stop, n_features, at[room], values[room]),
+        )
+
+    in_parts(part, height, width, 4)
+    found = [slice(start, start + count) for _, (start, count) in sorted(counts.items())]
+    if len(found) > 1:
+        at, values = (np.concatenate([column[some] for some in found]) for column in (at, values))
+    else:
+        at, values = at[found[0]], values[found[0]]
+    most = min(len(at), n_features)
     xy, score = np.empty((most, 2), np.int64), np.empty(most, np.uint8)
-    corner_kernels.in_order(at[:count], values[:count], image.shape[1], xy, score)
+    corner_kernels.in_order(at, values, width, xy, score)
     return xy, score
 
 

@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from featreg.runtime.threads import in_parts
 from featreg.sar.gradients.ratio import recursion
 from featreg.types import IntArray
 
@@ -36,7 +37,12 @@ def harris_response(gx: F32, gy: F32, sigma: float, d: float = 0.04, out: F32 | 
     from featreg.sar.keypoints import harris_kernels
 
     response = np.empty(gx.shape, np.float32) if out is None else out
-    harris_kernels.response(gx, gy, *_smoothing(gx.shape, sigma), np.float32(d), response)
+    smoothing = _smoothing(gx.shape, sigma)
+
+    def part(first: int, stop: int) -> None:
+        harris_kernels.response(gx, gy, *smoothing, np.float32(d), first, stop, response)
+
+    in_parts(part, *response.shape)
     return response
 
 

@@ -32,10 +32,10 @@ def _response_of_row(xx: F32, xy: F32, yy: F32, d: np.float32, out: F32) -> None
 
 @compiled
 def _next_row(
-    gx: F32, gy: F32, y: int, taps: F32, rows: I64, columns: I64, d: np.float32, done: int, ring: F32, product: F32,
-    smooth: F32, places: I64, out: F32,
+    gx: F32, gy: F32, y: int, taps: F32, rows: I64, columns: I64, d: np.float32, done: int, bottom: int, ring: F32,
+    product: F32, smooth: F32, places: I64, out: F32,
 ) -> int:  # fmt: skip
-    """Take in row `y` of a gradient field, and write the rows of the response that wait for no other.
+    """Take in row `y` of a gradient field, and write the rows of the response before `bottom` that wait for no other.
 
     `done` is how many were written before; how many there are now is returned.
     """
@@ -52,7 +52,7 @@ def _next_row(
             product[n, reach + width + k] = product[n, reach + columns[reach + width + k]]
         smoothed_along(product[n], taps, ring[n, y % side])
     # A row is complete when the last one that it needs is there; the last ones wait for the last of all.
-    ready = y - reach + 1 if y < height - 1 else height
+    ready = min(y - reach + 1 if y < height - 1 else height, bottom)
     for row in range(done, ready):
         for k in range(side):
             places[k] = rows[row + k] % side
@@ -63,8 +63,10 @@ def _next_row(
 
 
 @compiled
-def response(gx: F32, gy: F32, taps: F32, rows: I64, columns: I64, d: np.float32, out: F32) -> None:
-    """Fill `out` with det - d trace^2 of the smoothed matrix of a gradient field (H, W).
+def response(
+    gx: F32, gy: F32, taps: F32, rows: I64, columns: I64, d: np.float32, top: int, bottom: int, out: F32
+) -> None:
+    """Fill `out` with det - d trace^2 of the smoothed matrix of a gradient field (H, W), `top` to before `bottom`.
 
     `taps` (1 + reach,) are the weights of a symmetric filter from its middle on; `rows` (H + 2 * reach,) and `columns`
     (W + 2 * reach,) name the row and the column that stands at each place from `reach` before the first on, so that the
@@ -75,9 +77,9 @@ def response(gx: F32, gy: F32, taps: F32, rows: I64, columns: I64, d: np.float32
     ring = np.empty((3, 2 * reach + 1, width), np.float32)
     product, smooth = np.empty((3, width + 2 * reach), np.float32), np.empty((3, width), np.float32)
     places = np.empty(2 * reach + 1, np.int64)
-    done = 0
-    for y in range(gx.shape[0]):
-        done = _next_row(gx[y], gy[y], y, taps, rows, columns, d, done, ring, product, smooth, places, out)
+    done = top
+    for y in range(max(top - reach, 0), min(bottom + reach, gx.shape[0])):
+        done = _next_row(gx[y], gy[y], y, taps, rows, columns, d, done, bottom, ring, product, smooth, places, out)
 
 
 @compiled
@@ -104,7 +106,7 @@ def response_of_ratios(
             across[0], across[width - 1] = np.float32(0), np.float32(0)
             if y == 0 or y == height - 1:
                 down[:] = np.float32(0)
-            done = _next_row(across, down, y, taps, rows, columns, d, done, ring, product, smooth, places, out)
+            done = _next_row(across, down, y, taps, rows, columns, d, done, height, ring, product, smooth, places, out)
 
 
 @compiled

@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from featreg.runtime.threads import in_parts
 from featreg.types import BoolArray, FloatArray, IntArray
 
 F32 = NDArray[np.float32]
@@ -49,8 +50,18 @@ def _peaks(response: F32, allowed: BoolArray, threshold: float) -> IntArray:
     """The flat indices, in reading order, of all local maxima above a threshold."""
     from featreg.sar.keypoints import harris_kernels
 
-    room = np.empty(response.size // 4 + 1, np.int64)
-    return room[: harris_kernels.collect_peaks(response, allowed.view(np.uint8), np.float32(threshold), room)]
+    height, width = response.shape
+    found: dict[int, IntArray] = {}
+
+    def part(first: int, stop: int) -> None:
+        # The rows beside those that are looked at; beyond the border there are none.
+        rows = slice(max(first - 1, 0), min(stop + 1, height))
+        room = np.empty((rows.stop - rows.start) * width // 4 + 1, np.int64)
+        count = harris_kernels.collect_peaks(response[rows], allowed[rows].view(np.uint8), np.float32(threshold), room)
+        found[first] = room[:count] + rows.start * width
+
+    in_parts(part, height, width, 2)
+    return np.concatenate([found[first] for first in sorted(found)])
 
 
 def _floor(response: F32, allowed: BoolArray, threshold: float, n_features: int) -> float:
