@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from featreg.geometry.cholesky_kernels import factor_in_place, solve_in_place
 from featreg.runtime.jit import compact, compiled
 from featreg.types import FloatArray, IntArray
 
@@ -54,45 +55,6 @@ def shared_parts(
 
 
 @compiled
-def _factor(a: FloatArray, least: float) -> bool:
-    """Put Cholesky's factor of a symmetric matrix in its place, below the diagonal; False where it is not positive.
-
-    It is not where a pivot is at most `least` of the diagonal that was there.
-    """
-    n = a.shape[0]
-    for j in range(n):
-        d = a[j, j]
-        for k in range(j):
-            d -= a[j, k] * a[j, k]
-        if not d > least * a[j, j]:
-            return False
-        root = math.sqrt(d)
-        a[j, j] = root
-        for i in range(j + 1, n):
-            s = a[i, j]
-            for k in range(j):
-                s -= a[i, k] * a[j, k]
-            a[i, j] = s / root
-    return True
-
-
-@compiled
-def _solve(factor: FloatArray, b: FloatArray) -> None:
-    """Put into `b` what the matrix of this factor maps to it."""
-    n = factor.shape[0]
-    for i in range(n):
-        s = b[i]
-        for k in range(i):
-            s -= factor[i, k] * b[k]
-        b[i] = s / factor[i, i]
-    for i in range(n - 1, -1, -1):
-        s = b[i]
-        for k in range(i + 1, n):
-            s -= factor[k, i] * b[k]
-        b[i] = s / factor[i, i]
-
-
-@compiled
 def estimators(weight: FloatArray, design: FloatArray, least: float, out: FloatArray) -> bool:
     """Fill out (P, C, 2) with what an error of each coordinate of each cell adds to each parameter of the fit.
 
@@ -108,13 +70,13 @@ def estimators(weight: FloatArray, design: FloatArray, least: float, out: FloatA
                 if value != 0.0:
                     for q in range(count):
                         normal[p, q] += value * design[c, axis, q]
-    if not _factor(normal, least):
+    if not factor_in_place(normal, least):
         return False
     for c in range(cells):
         for axis in range(2):
             for p in range(count):
                 column[p] = weight[c] * design[c, axis, p]
-            _solve(normal, column)
+            solve_in_place(normal, column)
             for p in range(count):
                 out[p, c, axis] = column[p]
     return True
@@ -178,9 +140,9 @@ def whitened(
             moment[p] = square[p, half - 1]
             for q in range(p, half - 1):
                 information[p, q] = information[q, p] = square[p, q]
-        if not _factor(information, 0.0):
+        if not factor_in_place(information, 0.0):
             return False
-        _solve(information, moment)
+        solve_in_place(information, moment)
         rest = square[half - 1, half - 1]
         for p in range(half - 1):
             rest -= moment[p] * square[p, half - 1]
@@ -287,9 +249,9 @@ def left_out(
                 moment[g, p] = wanted[p] - moment[g, p]
                 for q in range(count):
                     normal[g, p, q] = total[p, q] - normal[g, p, q]
-            if not _factor(normal[g], least):
+            if not factor_in_place(normal[g], least):
                 return -1
-            _solve(normal[g], moment[g])
+            solve_in_place(normal[g], moment[g])
             for p in range(count):
                 mean[p] += moment[g, p] / held
     out[:] = 0.0

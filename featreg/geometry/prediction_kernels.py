@@ -43,6 +43,22 @@ def _in_cells(
 
 
 @compiled
+def _add(row: FloatArray, factor: float, other: FloatArray) -> None:
+    """Add a multiple of one row to another, of which it is no part."""
+    for k in range(np.uint64(row.shape[0])):
+        row[k] += factor * other[k]
+
+
+@compiled
+def _added_product(start: float, one: FloatArray, other: FloatArray) -> float:
+    """A number and the products of two rows, added in their order."""
+    total = start
+    for k in range(np.uint64(one.shape[0])):
+        total += one[k] * other[k]
+    return total
+
+
+@compiled
 def predicted(
     here: FloatArray, error: FloatArray, weights: FloatArray, design: FloatArray, at: FloatArray, cells: int,
     lengths: FloatArray, parts: FloatArray, mixtures: FloatArray, least: float, z: float, outside: float,
@@ -113,9 +129,7 @@ def predicted(
                         line[c] += at[i, axis, p] * estimator[p, c, along]
     for i in range(4 * points):
         for c in range(n):
-            one = moved[i, c]
-            for d in range(n):
-                outer[c, d] += one * moved[i, d]
+            _add(outer[c], moved[i, c], moved[i])
     many, kinds = 1 + shared.shape[0] * parts.shape[0], parts.shape[0]
     left, logs, share = np.empty(many), np.empty(many), np.empty(many)
     if not whitened(own, shared, parts, both, left, logs):
@@ -154,9 +168,8 @@ def predicted(
         for k in range(kinds):
             weighed += share[1 + s * kinds + k] * left[1 + s * kinds + k] * parts[k]
         for c in range(n):
-            for d in range(n):
-                one += shared[s, c, d] * outer[c, d]
-                common[c, d] += weighed * shared[s, c, d]
+            one = _added_product(one, shared[s, c], outer[c])
+            _add(common[c], weighed, shared[s, c])
         for k in range(kinds):
             trace[1 + s * kinds + k] = trace[0] + parts[k] * one
     for c in range(n):
@@ -167,12 +180,10 @@ def predicted(
             for along in range(2):
                 half[:] = 0.0
                 for c in range(n):
-                    one = moved[4 * i + 2 * axis + along, c]
-                    for d in range(n):
-                        half[d] += one * common[c, d]
+                    _add(half, moved[4 * i + 2 * axis + along, c], common[c])
                 for other in range(2):
-                    for d in range(n):
-                        covariance[i, axis, other] += half[d] * moved[4 * i + 2 * other + along, d]
+                    so_far = covariance[i, axis, other]
+                    covariance[i, axis, other] = _added_product(so_far, half, moved[4 * i + 2 * other + along])
     # The candidates' variances over their mean, of those that are likely at all.
     middle = likely = 0.0
     for k in range(many):

@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 
+from featreg.geometry.cholesky_kernels import factor_in_place, solve_in_place
 from featreg.geometry.robust_kernels import least_squares
 from featreg.runtime.jit import compiled
 from featreg.types import FloatArray
@@ -47,35 +48,6 @@ def middle_of(values: FloatArray, count: int) -> float:
     for i in range(1, k):
         lower = max(lower, values[i])
     return 0.5 * (math.sqrt(lower) + math.sqrt(upper))
-
-
-@compiled
-def solve_normal(a: FloatArray, b: FloatArray, n: int) -> bool:
-    """Solve the symmetric positive system a x = b in place by Cholesky's factor; `b` becomes x."""
-    for j in range(n):
-        d = a[j, j]
-        for k in range(j):
-            d -= a[j, k] * a[j, k]
-        if not d > 1e-14 * a[j, j]:
-            return False
-        d = math.sqrt(d)
-        a[j, j] = d
-        for i in range(j + 1, n):
-            s = a[i, j]
-            for k in range(j):
-                s -= a[i, k] * a[j, k]
-            a[i, j] = s / d
-    for i in range(n):
-        s = b[i]
-        for k in range(i):
-            s -= a[i, k] * b[k]
-        b[i] = s / a[i, i]
-    for i in range(n - 1, -1, -1):
-        s = b[i]
-        for k in range(i + 1, n):
-            s -= a[k, i] * b[k]
-        b[i] = s / a[i, i]
-    return True
 
 
 @compiled
@@ -127,8 +99,9 @@ def reprojection_minimum(
                 step[j] += row[0, j] * da + row[1, j] * db
                 for k in range(j + 1):
                     normal[j, k] += weight[i] * (row[0, j] * row[0, k] + row[1, j] * row[1, k])
-        if not solve_normal(normal, step, 8):
+        if not factor_in_place(normal, 1e-14):
             return False
+        solve_in_place(normal, step)
         for j in range(8):
             trial[j] = h[j] + step[j]
         new = reprojection_cost(trial, x, y, u, v, weight)

@@ -81,7 +81,7 @@ def _advance(row: F32, decay: np.float32, before: F32, now: F32) -> None:
 
 
 @compiled
-def _sums_from_above(
+def sums_from_above(
     image: F32, first: int, last: int, one: int, width: int, offset: np.float32, decay: np.float32, left: F32,
     right: F32, up: F32,
 ) -> None:  # fmt: skip
@@ -110,10 +110,10 @@ def _sums_from_above(
 
 
 @compiled
-def _sums_from_below(
+def sums_from_below(
     left: F32, right: F32, left_above: F32, right_above: F32, decay: np.float32, below_left: F32, below_right: F32
 ) -> None:
-    """The sums from below of the row above one; see `_vertical_ratios`."""
+    """The sums from below of the row above one; see `vertical_ratios`."""
     for x in range(left.shape[0]):
         below_left[x] = decay * ((left[x] - decay * left_above[x]) + below_left[x])
         below_right[x] = decay * ((right[x] - decay * right_above[x]) + below_right[x])
@@ -129,7 +129,7 @@ def squared_log_ratio(q: np.float32) -> np.float32:
 
 
 @compiled
-def _vertical_ratios(
+def vertical_ratios(
     left: F32, right: F32, left_above: F32, right_above: F32, below_left: F32, below_right: F32, beside: F32,
     share: np.float32, decay: np.float32, tiny: np.float32, before: F32, after: F32, gy: F32,
 ) -> None:  # fmt: skip
@@ -153,7 +153,7 @@ def _four_sums(
     left: F32, right: F32, left_above: F32, right_above: F32, below_left: F32, below_right: F32, beside: F32,
     share: np.float32, decay: np.float32, before: F32, after: F32, above: F32, below: F32,
 ) -> None:  # fmt: skip
-    """As `_vertical_ratios`, of the sums themselves."""
+    """As `vertical_ratios`, of the sums themselves."""
     for x in range(left.shape[0]):
         low_left, low_right = below_left[x], below_right[x]
         before[x] = beside[x] * (left[x] + low_left)
@@ -165,7 +165,7 @@ def _four_sums(
 
 
 @compiled
-def _log_ratio(after: F32, before: F32, tiny: np.float32, out: F32) -> None:
+def log_ratio_of_rows(after: F32, before: F32, tiny: np.float32, out: F32) -> None:
     for x in range(out.shape[0]):
         out[x] = fast_log((after[x] + tiny) / (before[x] + tiny))
 
@@ -232,12 +232,12 @@ def log_ratios(
         for top in range(0, height, rows):
             bottom = min(top + rows, height)
             last = min(bottom + halo, height)
-            _sums_from_above(image, done, last, one, width, offset, decay, left, right, up)
+            sums_from_above(image, done, last, one, width, offset, decay, left, right, up)
             done = last
             below_left[:], below_right[:] = 0, 0
             for y in range(last - 1, bottom - 1, -1):
                 here, above = (y + 1) % kept, y % kept
-                _sums_from_below(
+                sums_from_below(
                     up[0, here, :width], up[1, here, :width], up[0, above, :width], up[1, above, :width], decay,
                     below_left, below_right,
                 )  # fmt: skip
@@ -254,18 +254,18 @@ def log_ratios(
                     out = lengths[y, start:stop]
                     _lengths(after[i:j], before[i:j], row_x[i:j], row_y[i:j], tiny, steps, out)
                 elif both.shape[0] > 0:
-                    _vertical_ratios(
+                    vertical_ratios(
                         own_left, own_right, left_above, right_above, below_left, below_right, beside, share, decay,
                         tiny, before[1:], after, row_y,
                     )  # fmt: skip
-                    _log_ratio(after[i:j], before[i:j], tiny, row_x[i:j])
+                    log_ratio_of_rows(after[i:j], before[i:j], tiny, row_x[i:j])
                     _interleaved(row_x[i:j], row_y[i:j], both[y, start:stop])
                 else:
-                    _vertical_ratios(
+                    vertical_ratios(
                         own_left, own_right, left_above, right_above, below_left, below_right, beside, share, decay,
                         tiny, before[1:], after, row_y,
                     )  # fmt: skip
-                    _log_ratio(after[i:j], before[i:j], tiny, gx[y, start:stop])
+                    log_ratio_of_rows(after[i:j], before[i:j], tiny, gx[y, start:stop])
                     _taken(row_y[i:j], gy[y, start:stop])
 
 

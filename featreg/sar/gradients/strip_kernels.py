@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.runtime.jit import compiled
-from featreg.sar.gradients.ratio_kernels import _log_ratio, _sums_from_above, _sums_from_below, _vertical_ratios
+from featreg.sar.gradients.ratio_kernels import log_ratio_of_rows, sums_from_above, sums_from_below, vertical_ratios
 
 F32 = NDArray[np.float32]
 
@@ -37,14 +37,14 @@ def strip(
     below_left, below_right = np.zeros(width, np.float32), np.zeros(width, np.float32)
     after, before = np.zeros(width, np.float32), np.zeros(width + 1, np.float32)
     done = min(top + halo, height) if top > 0 else 0
-    _sums_from_above(image, done, last, 0, width, offset, decay, left, right, up)
+    sums_from_above(image, done, last, 0, width, offset, decay, left, right, up)
     for y in range(last - 1, bottom - 1, -1):
         here, above = (y + 1) % kept, y % kept
-        _sums_from_below(up[0, here], up[1, here], up[0, above], up[1, above], decay, below_left, below_right)
+        sums_from_below(up[0, here], up[1, here], up[0, above], up[1, above], decay, below_left, below_right)
     for y in range(bottom - 1, top - 1, -1):
         here, above = (y + 1) % kept, y % kept
-        _vertical_ratios(
+        vertical_ratios(
             up[0, here], up[1, here], up[0, above], up[1, above], below_left, below_right, beside, decay * share_y[y],
             decay, tiny, before[1:], after, gy[y - top],
         )  # fmt: skip
-        _log_ratio(after, before[:width], tiny, gx[y - top])
+        log_ratio_of_rows(after, before[:width], tiny, gx[y - top])

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.runtime.jit import compiled
-from featreg.sar.keypoints.histogram_kernels import _look_up, _polar
+from featreg.sar.keypoints.histogram_kernels import look_up, polar_of
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -87,9 +87,9 @@ def directions(
     for n in range(xy.shape[0]):
         i = order[n]
         x, y, reach = np.float32(xy[i, 0]), np.float32(xy[i, 1]), np.float32(radius[i])
-        _look_up(x, y, reach, nothing, width, height, pattern[0], pattern[1], at)
+        look_up(x, y, reach, nothing, width, height, pattern[0], pattern[1], at)
         _gather_seen(gx, gy, at, across, down)
-        _polar(across, down, strength, place)
+        polar_of(across, down, strength, place)
         _weighed(strength, share, at, place, per_radian, np.float32(bins))
         _share_out(place, strength, first, upper)
         even[:], odd[:] = 0, 0

@@ -14,7 +14,7 @@ I64 = NDArray[np.int64]
 
 
 @compiled
-def _look_up(
+def look_up(
     x0: np.float32, y0: np.float32, c: np.float32, s: np.float32, width: int, height: int, u: F32, v: F32, at: I32
 ) -> None:
     """Flat indices of the pixels nearest to the turned pattern (u, v); -1 outside the field."""
@@ -33,7 +33,7 @@ def _gather(field: F32, at: I32, values: F32) -> None:
 
 
 @compiled
-def _polar(gx: F32, gy: F32, length: F32, direction: F32) -> None:
+def polar_of(gx: F32, gy: F32, length: F32, direction: F32) -> None:
     """Length, and direction in radians from 0 to 2 pi, counter-clockwise as seen, to 1e-5, of gradients with y down.
 
     atan(q) of the smaller component over the larger one by a polynomial, without branches, so that it becomes vector
@@ -85,10 +85,10 @@ def pool(
     for i in range(xy.shape[0]):
         turn = angle[i] % (2 * np.pi)
         c, s = np.float32(radius[i] * np.cos(turn)), np.float32(radius[i] * np.sin(turn))
-        _look_up(np.float32(xy[i, 0]), np.float32(xy[i, 1]), c, s, width, height, pattern[0], pattern[1], at)
+        look_up(np.float32(xy[i, 0]), np.float32(xy[i, 1]), c, s, width, height, pattern[0], pattern[1], at)
         _gather(gx, at, across)
         _gather(gy, at, down)
-        _polar(across, down, strength, place)
+        polar_of(across, down, strength, place)
         _split(place, np.float32(turn), per_radian, np.float32(bins))
         row = out[i]
         row[:] = 0
@@ -108,7 +108,7 @@ def pool(
 def _look_up_beside(
     x0: F32, y0: F32, c: F32, s: F32, width: int, height: int, u: np.float32, v: np.float32, at: I32, inside: F32
 ) -> None:
-    """As `_look_up`, of one sample of several points; `inside` is 0 and the index any of the field's outside of it."""
+    """As `look_up`, of one sample of several points; `inside` is 0 and the index any of the field's outside of it."""
     right, bottom, half = np.float32(width - 1), np.float32(height - 1), np.float32(0.5)
     zero, one = np.float32(0), np.float32(1)
     for i in range(at.shape[0]):

@@ -7,7 +7,7 @@ import pytest
 
 from featreg.sar.gradients.gradient_field import GradientField
 from featreg.sar.keypoints.gradient_histograms import ORIENTATIONS, _disc, dominant_orientation
-from featreg.sar.keypoints.histogram_kernels import _polar
+from featreg.sar.keypoints.histogram_kernels import polar_of
 
 
 @pytest.mark.parametrize("degrees", range(-170, 190, 23))
@@ -59,7 +59,7 @@ def test_lengths_and_directions_are_those_of_the_arc_tangent() -> None:
     x, y = rng.normal(size=(2, 1003)).astype(np.float32)
     x[:5], y[:5] = [0, 1, -1, 0, 0], [0, 0, 0, 1, -1]
     length, direction = np.empty_like(x), np.empty_like(x)
-    _polar(x, y, length, direction)
+    polar_of(x, y, length, direction)
     np.testing.assert_allclose(length, np.hypot(x, y), rtol=1e-6)
     off = (direction - np.arctan2(-y, x) + np.pi) % (2 * np.pi) - np.pi
     assert np.abs(off).max() < 1e-5
