@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from featreg.errors import InputError, ParameterError, suggest
 from featreg.geolocation.geotransform import on_map
 from featreg.interfaces import FailedFit, Model
-from featreg.results.json_file import tie_point_columns
 from featreg.results.registration import Registration
+from featreg.results.tie_point_table import tie_point_columns
 from featreg.types import BoolArray, FloatArray, Geolocation, Matches
 
 #: Stages that every result has, beside its filters.

@@ -10,7 +10,7 @@ import numpy as np
 from featreg.errors import InputError
 from featreg.exports.columns import KNOWN, matches_of
 from featreg.exports.content import Content
-from featreg.results.json_file import parquet_of
+from featreg.results.tie_point_table import parquet_of
 from featreg.types import Matches
 
 

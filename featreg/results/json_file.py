@@ -15,9 +15,7 @@ stands packed in ``tie_points.masks`` (base64 of `numpy.packbits`). Where no mod
 
 from __future__ import annotations
 
-import base64
 import dataclasses
-import io
 import json
 import math
 import os
@@ -27,15 +25,27 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from featreg.errors import InputError
 from featreg.geometry import model_from_dict, model_to_dict
 from featreg.interfaces import FailedFit, Model
 from featreg.results.input_image import InputImage
+from featreg.results.tie_point_table import (
+    columns_of,
+    no_columns,
+    packed_masks,
+    parquet_of,
+    read_columns,
+    read_stages,
+    rows_of,
+    stage_of,
+    table_of,
+    tuples_of,
+    whole_numbers,
+)
 from featreg.runtime.digests import digest_bytes
 from featreg.runtime.files import check_ending, folder_of, is_stream, write_atomic
-from featreg.types import BoolArray, Gate, IntArray, Matches
+from featreg.types import BoolArray, Gate, Matches
 
 if TYPE_CHECKING:
     from featreg.results.registration import Registration
@@ -78,9 +88,9 @@ def plain(value: Any) -> Any:
 
 def registration_to_dict(registration: Registration) -> dict[str, Any]:
     """Return the object that `write_registration` writes, every tie point in it, in plain Python values."""
-    stage = _stage(registration)
-    columns = _columns(registration, stage)
-    return {**_head(registration), "tie_points": _table(columns, _masks(registration, stage), _rows(columns))}
+    stage = stage_of(registration)
+    columns = columns_of(registration, stage)
+    return {**_head(registration), "tie_points": table_of(columns, packed_masks(registration, stage), rows_of(columns))}
 
 
 def write_registration(registration: Registration, path: str | Path) -> None:
@@ -98,8 +108,8 @@ def write_registration(registration: Registration, path: str | Path) -> None:
     path = Path(path)
     # A pipe has no place beside it.
     if len(registration.matches) > MAX_ROWS and not is_stream(path):
-        stage = _stage(registration)
-        columns, masks, head = _columns(registration, stage), _masks(registration, stage), _head(registration)
+        stage = stage_of(registration)
+        columns, masks, head = columns_of(registration, stage), packed_masks(registration, stage), _head(registration)
         head["provenance"] |= _folder(registration, path)
         beside = tie_point_file(path)
         content = parquet_of(columns)
@@ -114,13 +124,13 @@ def write_registration(registration: Registration, path: str | Path) -> None:
 
 def registration_text(registration: Registration, provenance: Mapping[str, Any] | None = None) -> str:
     """Return what `write_registration` writes into a pipe: every tie point in it; `provenance` is added to its own."""
-    stage = _stage(registration)
-    columns, masks, head = _columns(registration, stage), _masks(registration, stage), _head(registration)
+    stage = stage_of(registration)
+    columns, masks, head = columns_of(registration, stage), packed_masks(registration, stage), _head(registration)
     head["provenance"] |= provenance or {}
     # The rows are encoded in one go, one tie point a line: a general pretty printer would take seconds.
-    rows = json.dumps(_tuples(columns), separators=(",", ":"), allow_nan=False).replace("],[", "],\n      [")
+    rows = json.dumps(tuples_of(columns), separators=(",", ":"), allow_nan=False).replace("],[", "],\n      [")
     slot = uuid.uuid4().hex
-    text = _layout({**head, "tie_points": _table(columns, masks, slot)})
+    text = _layout({**head, "tie_points": table_of(columns, masks, slot)})
     return text.replace(f'"{slot}"', rows.replace("[[", "[\n      [", 1)) + "\n"
 
 
@@ -213,92 +223,6 @@ def _image(image: InputImage | None) -> dict[str, Any]:
     return dict.fromkeys(("path", "width", "height")) if image is None else plain(image.to_dict())
 
 
-def _stage(registration: Registration) -> IntArray:
-    """(M,) how many filters, from the first on, each tie point survived."""
-    alive = np.ones(len(registration.matches), dtype=np.bool_)
-    stage = np.zeros(len(alive), dtype=np.int64)
-    for mask in registration.stages.values():
-        alive &= mask
-        stage += alive
-    return stage
-
-
-def _masks(registration: Registration, stage: IntArray) -> dict[str, str]:
-    """The stages that do not follow from `stage`, packed."""
-    return {
-        name: base64.b64encode(np.packbits(mask).tobytes()).decode()
-        for k, (name, mask) in enumerate(registration.stages.items())
-        if not np.array_equal(mask, stage > k)
-    }
-
-
-def tie_point_columns(registration: Registration) -> dict[str, NDArray[Any]]:
-    """Return the columns (M,) of the tie-point table by name, in its order."""
-    return _columns(registration, _stage(registration))
-
-
-def _columns(registration: Registration, stage: IntArray) -> dict[str, NDArray[Any]]:
-    matches = registration.matches
-    blocks = registration.provenance.get("tie_point_blocks")
-    columns: dict[str, NDArray[Any]] = {
-        "reference_x": matches.reference_xy[:, 0],
-        "reference_y": matches.reference_xy[:, 1],
-        "secondary_x": matches.secondary_xy[:, 0],
-        "secondary_y": matches.secondary_xy[:, 1],
-        "score": matches.score,
-        "residual": registration.residuals(),
-        "inlier": registration.inliers,
-        "stage": stage,
-        "origin": matches.origin,
-        "block": np.full(len(matches), -1) if blocks is None else np.asarray(blocks, dtype=np.int64),
-    }
-    if matches.covariance is not None:
-        for name, (i, j) in {"cov_xx": (0, 0), "cov_xy": (0, 1), "cov_yy": (1, 1)}.items():
-            columns[name] = matches.covariance[:, i, j]
-    if matches.rotation is not None:
-        columns["rotation"] = matches.rotation
-    if matches.scale_ratio is not None:
-        columns["scale_ratio"] = matches.scale_ratio
-    return columns
-
-
-def _rows(columns: Mapping[str, NDArray[Any]]) -> list[list[Any]]:
-    return [list(row) for row in _tuples(columns)]
-
-
-def _tuples(columns: Mapping[str, NDArray[Any]]) -> list[tuple[Any, ...]]:
-    """The rows of a table; None stands for numbers that are not finite."""
-
-    def values(array: NDArray[Any]) -> list[Any]:
-        finite = np.isfinite(array)
-        if finite.all():
-            return list(array.tolist())
-        some = array.astype(object)
-        some[~finite] = None
-        return list(some.tolist())
-
-    return list(zip(*(values(c) for c in columns.values()), strict=True))
-
-
-def _table(columns: Mapping[str, Any], masks: Mapping[str, str], rows: Any) -> dict[str, Any]:
-    return {"columns": list(columns), **({"masks": dict(masks)} if masks else {}), "rows": rows}
-
-
-def parquet_of(columns: Mapping[str, NDArray[Any]]) -> bytes:
-    """Return a Parquet file of columns (M,); numbers that are not finite are null."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    arrays = {
-        name: pa.array(values, mask=~np.isfinite(values) if values.dtype.kind == "f" else None)
-        for name, values in columns.items()
-    }
-    sink = pa.BufferOutputStream()
-    pq.write_table(pa.table(arrays), sink, compression="zstd")
-    content: bytes = sink.getvalue().to_pybytes()
-    return content
-
-
 def _layout(value: Any, indent: int = 0) -> str:
     """JSON with short objects and all innermost lists on one line."""
     flat = json.dumps(value, allow_nan=False, ensure_ascii=False)
@@ -320,9 +244,9 @@ def _fields(data: Any, folder: Path, tie_points: bool) -> dict[str, Any]:
     if data["schema_version"] != SCHEMA_VERSION:
         raise InputError(f"schema_version is {data['schema_version']}, this featreg reads {SCHEMA_VERSION}")
     complete = tie_points or "file" not in data["tie_points"]
-    columns = _read_columns(data["tie_points"], folder) if complete else _no_columns(data["tie_points"])
-    stage = _whole(columns["stage"])
-    stages = _read_stages([n for n in data["counts"] if n not in RESERVED], stage, data["tie_points"].get("masks", {}))
+    columns = read_columns(data["tie_points"], folder) if complete else no_columns(data["tie_points"])
+    stage = whole_numbers(columns["stage"])
+    stages = read_stages([n for n in data["counts"] if n not in RESERVED], stage, data["tie_points"].get("masks", {}))
     covariance = None
     if "cov_xx" in columns:
         xx, xy, yy = columns["cov_xx"], columns["cov_xy"], columns["cov_yy"]
@@ -332,14 +256,14 @@ def _fields(data: Any, folder: Path, tie_points: bool) -> dict[str, Any]:
         np.stack([columns["secondary_x"], columns["secondary_y"]], -1),
         columns["score"],
         covariance,
-        _whole(columns["origin"]),
+        whole_numbers(columns["origin"]),
         columns.get("rotation"),
         columns.get("scale_ratio"),
     )
-    inliers = _whole(columns["inlier"]) != 0
+    inliers = whole_numbers(columns["inlier"]) != 0
     if complete and _contradicts(data, inliers, stages):
         raise InputError("its counts and its tie points disagree")
-    block = _whole(columns["block"])
+    block = whole_numbers(columns["block"])
     return {
         "matches": matches,
         "stages": stages,
@@ -359,40 +283,3 @@ def _fields(data: Any, folder: Path, tie_points: bool) -> dict[str, Any]:
 def _contradicts(data: Any, inliers: BoolArray, stages: Mapping[str, BoolArray]) -> bool:
     counts = data["counts"]
     return int(inliers.sum()) != counts["inliers"] or any(counts[name] != mask.sum() for name, mask in stages.items())
-
-
-def _no_columns(table: Mapping[str, Any]) -> dict[str, NDArray[np.float64]]:
-    return {name: np.zeros(0) for name in table["columns"]}
-
-
-def _read_columns(table: Mapping[str, Any], folder: Path) -> dict[str, NDArray[np.float64]]:
-    names = table["columns"]
-    if "file" not in table:
-        rows = np.array(table["rows"], dtype=np.float64).reshape(len(table["rows"]), len(names))
-        return {name: rows[:, i] for i, name in enumerate(names)}
-    if Path(table["file"]).name != table["file"]:
-        raise InputError(f"its tie-point file must be a name in the same folder, got '{table['file']}'")
-    import pyarrow.parquet as pq
-
-    content = (folder / table["file"]).read_bytes()
-    if digest_bytes(content) != table["sha256"]:
-        raise InputError(f"'{table['file']}' is not the tie-point file that was written with it")
-    read = pq.ParquetFile(io.BytesIO(content)).read(columns=names)
-    return {name: np.asarray(read[name].to_numpy(), dtype=np.float64) for name in names}
-
-
-def _read_stages(names: list[str], stage: IntArray, masks: Mapping[str, str]) -> dict[str, BoolArray]:
-    stages = {}
-    for k, name in enumerate(names):
-        if name in masks:
-            packed = np.frombuffer(base64.b64decode(masks[name], validate=True), dtype=np.uint8)
-            stages[name] = np.unpackbits(packed, count=len(stage)).astype(np.bool_)
-        else:
-            stages[name] = stage > k
-    return stages
-
-
-def _whole(values: NDArray[np.float64]) -> IntArray:
-    if not np.isfinite(values).all():
-        raise InputError("a column of whole numbers holds null")
-    return values.astype(np.int64)

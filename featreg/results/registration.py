@@ -13,10 +13,11 @@ from featreg.errors import InputError
 from featreg.interfaces import FailedFit, Model
 from featreg.results.explaining import explain_registration
 from featreg.results.input_image import InputImage
-from featreg.results.json_file import read_registration, tie_point_columns, write_registration
+from featreg.results.json_file import read_registration, write_registration
 from featreg.results.stages import MEASURED
 from featreg.results.standard_errors import standard_errors as rigid_errors
 from featreg.results.summary import one_line, summary
+from featreg.results.tie_point_table import tie_point_columns
 from featreg.runtime.deferred import job
 from featreg.runtime.optional import import_pandas
 from featreg.runtime.showing import Shown, figure_of
