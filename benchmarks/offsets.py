@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from scene import run_measured
 
 import featreg
+from featreg.displacement.band import band
 from featreg.displacement.cells import CellGrid
-from featreg.displacement.measure import band
 from featreg.simulate import DisplacedPair, displaced_pair
 
 #: Side of the small pair that is repeated, px.

@@ -14,8 +14,9 @@ from annotated_types import Interval
 from numpy.typing import NDArray
 
 from featreg.displacement.cells import CellGrid, Reason
+from featreg.displacement.coarse import LEAST_WINDOW, levels_of
 from featreg.displacement.field import Offsets
-from featreg.displacement.measure import LEAST_WINDOW, Measured, levels_of, measure
+from featreg.displacement.measure import Measured, measure
 from featreg.errors import InputError, ParameterError
 from featreg.geometry import as_model, model_to_dict
 from featreg.interfaces import FailedFit, Model

@@ -20,7 +20,7 @@ F32 = NDArray[np.float32]
 #: Longest side of a piece, px: long against the correlation of speckle, short against a window.
 PIECE = 8
 #: Slopes of neighbouring pieces share the speckle at their border, so that the sum of their squares lacks so much along
-#: either axis, px over the side of a piece (measured on speckle in the band of `featreg.displacement.measure`).
+#: either axis, px over the side of a piece (measured on speckle in the band of `featreg.displacement.band`).
 LEAK = 0.6
 #: A piece read further than this from what is expected of a window shows another motion, px along either axis.
 APART = 1.5

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from featreg.displacement.measure import band
+from featreg.displacement.band import band
 from featreg.sar.correlation import local_correlations, peaks
 from featreg.sar.grid_correlation import Expected, WindowGrid, grid_correlations, grid_peaks, piece_middles
 
