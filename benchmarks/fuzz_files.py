@@ -28,7 +28,7 @@ from scipy.sparse import csc_array
 import featreg
 from featreg.cli.explain import explain_file
 from featreg.exports.formats import FORMATS, export, read_tie_points
-from featreg.focusing.phase_history import read_phase_history
+from featreg.focusing.phase_history_files import read_phase_history
 from featreg.geolocation.elevation_model import DemHeights
 from featreg.io import as_image
 from featreg.io.raster_source import Window, open_source

@@ -24,8 +24,10 @@ import numpy as np
 from measuring import DATA, machine, on_one_thread, table
 
 import featreg
-from featreg.focusing.backprojection import GroundGrid, back_project
-from featreg.focusing.phase_history import PhaseHistory, read_phase_history
+from featreg.focusing.backprojection import back_project
+from featreg.focusing.ground_grid import GroundGrid
+from featreg.focusing.phase_history import PhaseHistory
+from featreg.focusing.phase_history_files import read_phase_history
 from featreg.geometry import Rigid, as_model
 from featreg.products.resample import resample
 from featreg.simulate import similarity_matrix

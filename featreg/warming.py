@@ -162,7 +162,8 @@ def _warm_geometry() -> None:
     """Use the sensors and the back-projection once."""
     import numpy as np
 
-    from featreg.focusing.backprojection import GroundGrid, back_project
+    from featreg.focusing.backprojection import back_project
+    from featreg.focusing.ground_grid import GroundGrid
     from featreg.focusing.phase_history import PhaseHistory
     from featreg.geolocation.elevation_model import Patch
     from featreg.geolocation.orbit import Orbit

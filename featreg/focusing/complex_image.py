@@ -6,7 +6,7 @@ is ``ifft(fft(image) * exp(-1j * phase))``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from featreg.errors import CancelledError, InputError, ParameterError, suggest
 from featreg.focusing import autofocus
 from featreg.focusing.azimuth_filter import apply_phase, image_entropy
+from featreg.focusing.focus_gates import gates_of, reason_of
 from featreg.focusing.minimum_entropy import Descent
 from featreg.focusing.phase_error import Band
 from featreg.focusing.pulse_spectra import PulseSpectra, default_workers, grouped, pulse_spectra
@@ -30,7 +31,7 @@ from featreg.registry import create, entry
 from featreg.runtime.parameters import Count, Share, checked
 from featreg.runtime.threads import worker_count
 from featreg.runtime.watching import Canceller, Progress
-from featreg.types import BoolArray, FloatArray, Gate, Image, IntArray, read_only, verdict
+from featreg.types import BoolArray, FloatArray, Image, IntArray, read_only, verdict
 
 C64 = NDArray[np.complex64]
 
@@ -44,13 +45,6 @@ FRACTIONS = {
 }  # fmt: skip
 #: `auto` begins with this share, but no less than so many cells, and stops at so many samples.
 FIRST, FEWEST, MOST_SAMPLES = 0.1, 64, 1 << 22
-#: Range cells below which nothing can be held out.
-LEAST_CELLS = 4
-#: Pulses with signal from which a phase beyond its constant and linear part can be told.
-LEAST_PULSES = 8
-
-#: Fall of the image's entropy, nats, from which held-out cells must become sharper too.
-CLAIM = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,9 +173,9 @@ def _whole(pixels: NDArray[Any], energy: FloatArray, before: float, *, settings:
     phase = band.detrended(found.phase) if settings.detrend else found.phase
     apply_phase(pixels, phase, settings.axis, out, workers=settings.workers)
     after = image_entropy(out, workers=settings.workers)
-    gates = _gates(len(chosen), len(band.order), check, (before, after))
+    gates = gates_of(len(chosen), len(band.order), check, (before, after))
     return FocusResult(
-        read_only(out), phase, found.entropy, found.iterations, chosen, *verdict(gates, _reason),
+        read_only(out), phase, found.entropy, found.iterations, chosen, *verdict(gates, reason_of),
         check.deviation, (before, after), gates, settings.method, (0, pixels.shape[1 - settings.axis]),
     )  # fmt: skip
 
@@ -253,54 +247,6 @@ def _counts(pixels: NDArray[Any], cells: int, settings: _Settings) -> IntArray:
     amplitude = np.abs(pixels)
     found = detector.detect_features(Image(amplitude, np.ones(pixels.shape, np.bool_)))
     return count_points(found.xy, settings.axis, cells)
-
-
-def _gates(cells: int, pulses: int, check: autofocus.Check, entropy: tuple[float, float]) -> dict[str, Gate]:
-    # Without two places in range nothing can be held out, however many cells there are: their number tells nothing.
-    apart = bool(np.isfinite(check.halves))
-    deviation, half, unsettled, gain = (
-        value if apart and cells >= LEAST_CELLS else None
-        for value in (check.deviation, check.halves / 2, check.unsettled, check.gain)
-    )
-    limit = autofocus.LIMIT
-    rise = entropy[1] - entropy[0]
-    # Where the image was sharp before, a half's phase has nothing to sharpen, and its noise blurs the other half.
-    claimed = rise < -CLAIM
-    return {
-        "pulses": Gate(pulses, LEAST_PULSES, None, "pulses that carry signal"),
-        "cells": Gate(cells if apart or cells < LEAST_CELLS else None, LEAST_CELLS, None,
-                      "range cells, of two places in range at least"),
-        "deviation": Gate(deviation, None, limit, "expected error of the phase, radians RMS"),
-        "held out": Gate(half, None, limit,
-                         "half the difference of the phases of two halves of the range cells, radians RMS"),
-        "settled": Gate(unsettled, None, limit,
-                        "how far the phase moves when minimum entropy goes on from it, radians RMS"),
-        "sharpness": Gate(gain, 0.0 if claimed else None, None,
-                          "entropy by which one half's phase sharpens the other half, nats"),
-        "entropy": Gate(rise, None, 0.01, "rise of the image's entropy, nats"),
-    }  # fmt: skip
-
-
-def _reason(failed: Mapping[str, Gate]) -> str:
-    """One line on the gates that failed."""
-    texts = {
-        "pulses": "too few pulses carry signal for a phase to be seen",
-        "cells": "too few range cells with independent scatterers to check the phase",
-        "held out": "the halves of the range cells find different phases (homogeneous speckle, or a collapsed image)",
-        "settled": "the phase does not stay where it is when the entropy is minimised further",
-        "sharpness": "the phase of one half of the range cells does not sharpen the other half",
-        "entropy": "the entropy of the image rose",
-        "deviation": "the expected error of the phase is too large",
-    }
-    names = [name for name in texts if name in failed]
-    if names[0] in ("pulses", "cells"):
-        few = failed[names[0]]
-        found = "they lie in one place in range" if few.value is None else f"{few.value:.0f}, {few.low:.0f} are needed"
-        return f"{texts[names[0]]}: {found}"
-    if len(names) > 1 and "deviation" in names:
-        names.remove("deviation")
-    values = {name: failed[name].value for name in names}
-    return "; ".join(texts[name] + ("" if value is None else f": {value:.2f}") for name, value in values.items())
 
 
 def _settings(

@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 
 from featreg.errors import ParameterError, PluginUnavailableError
 from featreg.focusing.backprojection import SPEED_OF_LIGHT as C
-from featreg.focusing.backprojection import GroundGrid, Window, back_project, carrier
-from featreg.focusing.phase_history import PhaseHistory, read_phase_history
+from featreg.focusing.backprojection import Window, back_project, carrier
+from featreg.focusing.ground_grid import GroundGrid
+from featreg.focusing.phase_history import PhaseHistory
+from featreg.focusing.phase_history_files import read_phase_history
 
 BAND, LOW, COUNT = 600e6, 9.3e9, 64
 SPAN, PULSES = 3.0, 60

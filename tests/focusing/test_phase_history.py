@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from featreg.errors import InputError, ParameterError, PluginUnavailableError
-from featreg.focusing.phase_history import PhaseHistory, read_phase_history
+from featreg.focusing.phase_history import PhaseHistory
+from featreg.focusing.phase_history_files import read_phase_history
 
 FREQUENCIES = np.linspace(9.3e9, 9.9e9, 8)
 

@@ -10,7 +10,8 @@ import pytest
 
 from featreg.errors import ParameterError
 from featreg.focusing.backprojection import SPEED_OF_LIGHT as C
-from featreg.focusing.backprojection import GroundGrid, back_project
+from featreg.focusing.backprojection import back_project
+from featreg.focusing.ground_grid import GroundGrid
 from featreg.focusing.phase_history import PhaseHistory
 from featreg.simulate.circle import CircularPath, ParkingLot, circular_phase_history, parking_lot
 
