@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from featreg.errors import InputError
 from featreg.io.cf_places import unwritten
 from featreg.io.gdal_errors import decoding
-from featreg.io.gridded import GriddedReader, Variable, missing
+from featreg.io.gridded import GriddedReader, missing
 from featreg.io.products.nisar import sensor_of_nisar
+from featreg.io.variable import Variable
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 #: Datasets in which COSMO-SkyMed keeps in-phase and quadrature along a third axis: first and second generation.

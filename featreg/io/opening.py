@@ -11,8 +11,9 @@ from pathlib import Path
 from featreg.errors import InputError
 from featreg.io.array_files import open_matlab, open_numpy
 from featreg.io.bands import BandLike, Choice, choose, name_of, read_choice
+from featreg.io.gdal_confined import within_folder
 from featreg.io.gdal_drivers import BY_HEADER, DRIVERS, KNOWN, TOLD_BY_GDAL, driver_by_content, drivers_by_suffix
-from featreg.io.gdal_reader import GdalReader, within_folder
+from featreg.io.gdal_reader import GdalReader
 from featreg.io.hdf5 import is_behind_user_block, is_classic_netcdf, is_hdf5, open_classic_netcdf, open_hdf5
 from featreg.io.palsar import PalsarReader, is_palsar
 from featreg.io.plausible import check_size, sample_bytes

@@ -18,9 +18,10 @@ from xml.etree import ElementTree
 
 from featreg.errors import InputError
 from featreg.io.calibration import Calibration, calibration_of
+from featreg.io.gdal_confined import within_archive, within_folder
 from featreg.io.gdal_drivers import DRIVERS, TOLD_BY_GDAL, driver_by_content
 from featreg.io.gdal_errors import decoding
-from featreg.io.gdal_reader import GdalReader, within_archive, within_folder
+from featreg.io.gdal_reader import GdalReader
 from featreg.io.palsar import VOLUME, PalsarReader
 from featreg.io.plausible import check_size, sample_bytes
 from featreg.io.products.sentinel1_tops import TopsTerms, tops_of

@@ -11,7 +11,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from featreg.errors import InputError, suggest
-from featreg.io.gdal_reader import GdalReader, within_folder
+from featreg.io.gdal_confined import within_folder
+from featreg.io.gdal_reader import GdalReader
 from featreg.io.reader import Band
 from featreg.io.xml_text import root_of
 

@@ -7,8 +7,9 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from featreg.errors import InputError
+from featreg.io.gdal_confined import within_folder
 from featreg.io.gdal_drivers import TOLD_BY_GDAL, driver_by_content
-from featreg.io.gdal_reader import GdalReader, within_folder
+from featreg.io.gdal_reader import GdalReader
 from featreg.io.xml_text import DoctypeError, root_of
 
 #: Bytes of the largest description, files it may name, virtual rasters that may rest on each other.

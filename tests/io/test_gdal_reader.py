@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from featreg.errors import InputError
 from featreg.geolocation import sensor_of
 from featreg.io import as_image
-from featreg.io.gdal_reader import within_archive, within_folder
+from featreg.io.gdal_confined import within_archive, within_folder
 from featreg.io.raster_source import Window, open_source
 
 rasterio = pytest.importorskip("rasterio")
