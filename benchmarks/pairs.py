@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 import featreg
 from featreg.geometry import as_model
 from featreg.sar.normalise import to_uint8
-from featreg.study.evaluation import grid_rmse, match_errors, score_errors
+from featreg.study.measures import grid_rmse, match_errors, score_errors
 
 METHODS = "sar-orb,sar-orb+refine,sar-orb-paper,orb,sift,akaze"
 YARDSTICK = "cv2 ORB"

@@ -33,7 +33,7 @@ from trials import METHODS, MODELS, all_scenes, errors, trial
 
 import featreg
 from featreg.simulate import sar_pair
-from featreg.study.evaluation import grid_rmse
+from featreg.study.measures import grid_rmse
 
 WRONG_PX = 3.0
 SMALLEST, LARGEST = 200, 600

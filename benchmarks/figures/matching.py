@@ -15,7 +15,8 @@ from featreg.io import as_image
 from featreg.io.raster_source import open_source
 from featreg.pictures.panels import display
 from featreg.scene.blocks import plan_blocks, proportional_part
-from featreg.study.evaluation import match_errors, stage_mask
+from featreg.study.evaluation import stage_mask
+from featreg.study.measures import match_errors
 from figures.page import Figure, axes, ranked, show
 
 PAPER = "Rapid Subpixel Matching Method for Spaceborne Synthetic Aperture Radar Images (Wang et al. 2022)"

@@ -17,7 +17,8 @@ from featreg.report.pictures import BUDGET, Picture, picture
 from featreg.report.tie_points import is_affine, lattice, tie_points
 from featreg.results.json_file import plain
 from featreg.results.registration import Registration
-from featreg.study.evaluation import CURVE, default_stage, match_errors, matching_accuracy_curve, stage_mask
+from featreg.study.evaluation import default_stage, stage_mask
+from featreg.study.measures import CURVE, match_errors, matching_accuracy_curve
 from featreg.study.truth import Truth
 from featreg.types import FloatArray
 

@@ -9,8 +9,9 @@ from typing import Any
 from featreg.errors import InputError, ParameterError
 from featreg.results.registration import Registration
 from featreg.runtime.showing import Shown, figure_of
+from featreg.study.case import Case
 from featreg.study.jobs import Job, Method, Outcome, Pair
-from featreg.study.metrics import STANDARD, Case, check_metrics, measured, metric_of, of_failure
+from featreg.study.metrics import STANDARD, check_metrics, measured, metric_of, of_failure
 from featreg.study.protocol import Protocol, describe
 from featreg.study.table import Table
 

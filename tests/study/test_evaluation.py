@@ -15,15 +15,8 @@ from featreg.geometry import Affine, Translation
 from featreg.interfaces import FailedFit
 from featreg.results.input_image import InputImage
 from featreg.results.registration import Registration
-from featreg.study.evaluation import (
-    evaluate,
-    grid_points,
-    grid_rmse,
-    match_errors,
-    matching_accuracy_curve,
-    score_errors,
-    stage_mask,
-)
+from featreg.study.evaluation import evaluate, stage_mask
+from featreg.study.measures import grid_points, grid_rmse, match_errors, matching_accuracy_curve, score_errors
 from featreg.study.truth import Truth, read_truth
 from featreg.types import Matches
 

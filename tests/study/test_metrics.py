@@ -14,9 +14,10 @@ from featreg.geometry import Affine, Translation
 from featreg.interfaces import FailedFit
 from featreg.results.input_image import InputImage
 from featreg.results.registration import Registration
-from featreg.study.evaluation import area_under_curve, repeatable
+from featreg.study.case import Case
 from featreg.study.intervals import Interval, interval
-from featreg.study.metrics import FAMILIES, METRICS, Case, check_metrics, measured, metric_of, of_failure
+from featreg.study.measures import area_under_curve, repeatable
+from featreg.study.metrics import FAMILIES, METRICS, check_metrics, measured, metric_of, of_failure
 from featreg.study.truth import read_truth
 from featreg.types import Matches
 

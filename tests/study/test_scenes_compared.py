@@ -13,10 +13,11 @@ from featreg import Experiment
 from featreg.cli.main import main
 from featreg.errors import InputError, ParameterError
 from featreg.simulate.scene import ScenePair, simulate_scene
+from featreg.study.case import Case
 from featreg.study.experiment_results import Study
 from featreg.study.image_pairs import resolve
 from featreg.study.jobs import times_of
-from featreg.study.metrics import Case, metric_of
+from featreg.study.metrics import metric_of
 from featreg.study.protocol import Protocol
 
 METRICS = ["blocks", "nm", "ncm", "precision", "rmse", "grid_rmse", "act", "around_s", "time_s", "act.blocks.detect"]
