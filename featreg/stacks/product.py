@@ -17,7 +17,7 @@ from featreg.io.writers import geolocation_profile, replacing
 from featreg.products.data_arrays import SYSTEM, blanked, to_data_array
 from featreg.products.files import TILE, bounded_cache, rasterio_window, windows_of
 from featreg.products.resample import TAPS, resampled_window
-from featreg.stacks.run import reading_of
+from featreg.stacks.work import reading_of
 from featreg.types import Geolocation
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from featreg.errors import InputError, ParameterError
 from featreg.geometry import Affine
 from featreg.io.raster_source import ImageSource, Window
 from featreg.simulate import SimulatedSeries, sar_series
-from featreg.stacks.run import _options_digest
+from featreg.stacks.work import _options_digest
 from featreg.types import Geolocation, Image
 
 READ = ImageSource.read
