@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from featreg._version import __version__
 from featreg.errors import InputError, ParameterError, suggest
-from featreg.interfaces import Model
 from featreg.io.bands import BandLike, listing
 from featreg.io.calibration import check_calibration
 from featreg.io.gdal_errors import quiet
@@ -25,11 +24,11 @@ from featreg.io.source_names import parse_source
 from featreg.io.writers import refuse_input, replacing
 from featreg.products.coherence import coherence as coherence_of
 from featreg.products.coherence import window_size
-from featreg.products.deramping import Ramp, ramp_of, warn_of_ramp, with_ramp, without_ramp
+from featreg.products.deramping import Ramp, ramp_of, warn_of_ramp
 from featreg.products.files import Runner, bounded_cache, cloud_optimised, rasterio_window, tiled_tiff
 from featreg.products.grid import Grid, grid_model, inputs_of, reference_grid
-from featreg.products.lattice import Lattice, lattice_of
-from featreg.products.resample import TAPS, Support, support_box
+from featreg.products.rendering import Job
+from featreg.products.resample import TAPS
 from featreg.products.samples import Encoding, encoding_of
 from featreg.products.stac import SampleKind, acquired, check_item, write_item
 from featreg.products.tops_phase import TopsPhase
@@ -37,10 +36,6 @@ from featreg.results.input_image import InputImage
 from featreg.results.registration import Registration
 from featreg.runtime.files import check_ending
 from featreg.runtime.watching import Canceller, Progress
-from featreg.types import BoolArray
-
-#: Most pixels of the secondary that one output window reads.
-MOST_READ = 3 << 20
 
 
 @dataclass(frozen=True)
@@ -183,7 +178,7 @@ def warp_file(
         warn_of_ramp(sources[0])
     encodings = [encoding_of(source) for source in sources]
     encodings = [replace(e, dtype=encodings[0].dtype, nodata=encodings[0].nodata) for e in encodings]
-    job = _Job(tuple(sources), tuple(encodings), model, resampling, ramp)
+    job = Job(tuple(sources), tuple(encodings), model, resampling, ramp)
     runner = Runner(workers, progress, cancel)
     tags = {
         "TIFFTAG_SOFTWARE": f"featreg {__version__}",
@@ -228,52 +223,6 @@ def warp_file(
             samples = SampleKind(title, dtype, blank, bands)
             items.append(write_item(target, grid.shape, grid.geolocation, when, registration, samples, files))
     return Product(output, grid.shape, first.dtype, first.nodata, numbers, located, share, ramp, mean, tuple(items))
-
-
-@dataclass(frozen=True, eq=False)
-class _Job:
-    """What one window needs."""
-
-    sources: tuple[RasterSource, ...]
-    encodings: tuple[Encoding, ...]
-    model: Model
-    resampling: str
-    ramp: Ramp | None
-
-    def render(self, window: Window) -> tuple[NDArray[Any], int]:
-        """Return the numbers (bands, h, w) of a window and how many pixels of its first band are data."""
-        lattice = lattice_of(self.model, window.x, window.y, window.shape)
-        box = support_box(lattice, self.sources[0].shape, self.resampling)
-        if box is not None and box.width * box.height > MOST_READ and min(window.shape) > 32:
-            return self._by_parts(window)
-        bands, good = [], 0
-        for k, (source, encoding) in enumerate(zip(self.sources, self.encodings, strict=True)):
-            values, mask = self._sampled(source, lattice, box)
-            good += int(mask.sum()) if k == 0 else 0
-            bands.append(encoding.encode(values, mask))
-        return np.stack(bands), good
-
-    def _by_parts(self, window: Window) -> tuple[NDArray[Any], int]:
-        """A window that shows much of the secondary, a quarter at a time."""
-        half_h, half_w = window.height // 2, window.width // 2
-        rows = ((window.y, half_h), (window.y + half_h, window.height - half_h))
-        cols = ((window.x, half_w), (window.x + half_w, window.width - half_w))
-        parts = [[self.render(Window(x, y, w, h)) for x, w in cols] for y, h in rows]
-        whole = np.concatenate([np.concatenate([p[0] for p in line], axis=2) for line in parts], axis=1)
-        return whole, sum(p[1] for line in parts for p in line)
-
-    def _sampled(self, source: RasterSource, lattice: Lattice, box: Window | None) -> tuple[NDArray[Any], BoolArray]:
-        if box is None:
-            kind = np.complex64 if source.is_complex else np.float32
-            return np.zeros(lattice.shape, kind), np.zeros(lattice.shape, np.bool_)
-        image = source.read(box)
-        pixels: NDArray[Any] = image.pixels
-        if self.ramp is not None:
-            pixels = without_ramp(pixels, self.ramp, box.x, box.y)
-        values, mask = Support(pixels, image.mask, self.resampling).sample(lattice.moved(-box.x, -box.y))
-        if self.ramp is not None:
-            values, mask = with_ramp(values, mask, self.ramp, lattice, TAPS[self.resampling] // 2)
-        return (values if image.is_complex else np.maximum(values, 0)), mask
 
 
 def _sources(

@@ -219,7 +219,7 @@ def test_a_window_that_shows_much_of_the_secondary_is_read_in_parts(
 ) -> None:
     files(tmp_path, texture(*SHAPE).astype(np.uint16))
     warp_file(registration(tmp_path), tmp_path / "sec.tif", tmp_path / "a.tif")
-    monkeypatch.setattr("featreg.products.warping.MOST_READ", 5000)
+    monkeypatch.setattr("featreg.products.rendering.MOST_READ", 5000)
     warp_file(registration(tmp_path), tmp_path / "sec.tif", tmp_path / "b.tif")
     a, b = (read(tmp_path / name)[0].astype(int) for name in ("a.tif", "b.tif"))
     assert np.abs(a - b).max() <= 1
