@@ -31,7 +31,7 @@ COARSE_LIMIT = 3.0
 def coarse_field(
     first: tuple[F32, BoolArray | None], second: tuple[F32, BoolArray | None], grid: CellGrid, search: float
 ) -> tuple[F32, BoolArray]:
-    """Return displacements (rows, cols, 2) to a fraction of a pixel by the halved levels; where one peak stood alone."""
+    """Return displacements (rows, cols, 2) to a fraction of a pixel by halved levels; where one peak stood alone."""
     levels = [(first, second)]
     while len(levels) <= levels_of(search) and min(levels[-1][0][0].shape) >= 4 * LEAST_WINDOW:
         levels.append((_halved(*levels[-1][0]), _halved(*levels[-1][1])))
