@@ -8,12 +8,12 @@ from .errors import FeatregError as FeatregError
 from .exports.formats import export as export
 from .exports.formats import read_tie_points as read_tie_points
 from .fitting import fit as fit
-from .focusing.backprojection import GroundGrid as GroundGrid
 from .focusing.backprojection import back_project as back_project
 from .focusing.backprojection import carrier as carrier
 from .focusing.complex_image import focus as focus
+from .focusing.ground_grid import GroundGrid as GroundGrid
 from .focusing.phase_history import PhaseHistory as PhaseHistory
-from .focusing.phase_history import read_phase_history as read_phase_history
+from .focusing.phase_history_files import read_phase_history as read_phase_history
 from .focusing.result import FocusResult as FocusResult
 from .interfaces import Descriptor as Descriptor
 from .interfaces import Detector as Detector
