@@ -11,7 +11,7 @@ from typing import Any
 
 from featreg.errors import FeatregError, UnknownNameError
 from featreg.registry import entries, entry, presets
-from featreg.runtime import precompiled
+from featreg.runtime import machine, precompiled
 from featreg.runtime.files import write_atomic
 from featreg.runtime.jit import Kernel
 from featreg.runtime.preparing import LIST
@@ -285,7 +285,7 @@ def _kernel_modules() -> list[ModuleType]:
 
 def cache_folders() -> set[Path]:
     """The folders in which compiled kernels are kept."""
-    kept = precompiled.folder()
+    kept = machine.folder()
     return set().union(*(_folders(module) for module in _kernel_modules()), () if kept is None else (kept,))
 
 

@@ -15,6 +15,7 @@ from featreg.errors import ParameterError
 from featreg.interfaces import Nearest
 from featreg.registry import register
 from featreg.runtime import precompiled
+from featreg.runtime.machine import processor_has
 from featreg.runtime.parameters import Share
 from featreg.runtime.threads import side_by_side
 from featreg.types import Features, FloatArray, IntArray
@@ -116,7 +117,7 @@ def _slices_are_quicker() -> bool:
     """Where AVX2 is there but no population count of its width, and the loops are prepared: numba leaves them slow."""
     from featreg.sar.keypoints import hamming_kernels as kernels
 
-    wide = precompiled.processor_has("avx2") and not precompiled.processor_has("avx512vpopcntdq")
+    wide = processor_has("avx2") and not processor_has("avx512vpopcntdq")
     kernel: Any = kernels.nearest_by_slices
     return wide and precompiled.prepared_here(kernel)
 

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from featreg.runtime import calling, precompiled
+from featreg.runtime import calling
+from featreg.runtime.machine import Machine
 
 LLVM = pytest.importorskip("llvmlite.binding")
 KEY = ("f8:1", "int", "float", "bool", "float32", "i2:2:A")
@@ -60,7 +61,7 @@ RESULTS = {
 @pytest.fixture(scope="module")
 def calls() -> Calls:
     """Kind of result -> the kernel with such a result, as a function of Python."""
-    machine = precompiled.Machine()
+    machine = Machine()
     return {result: made(machine, result) for result in RESULTS}
 
 

@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 import featreg
-from featreg.runtime import calling, jit, precompiled
+from featreg.runtime import calling, jit, machine, precompiled
+from featreg.runtime.machine import Machine
 from featreg.runtime.preparing import LIST
 from featreg.sar.keypoints import binary_kernels, corner_kernels, hamming_kernels, motion_kernels
 from featreg.warming import stale_kernels
@@ -131,23 +132,23 @@ def test_the_processor_is_the_one_that_numba_makes_code_for(monkeypatch: pytest.
             config.reload_config()
             made = codegen.JITCPUCodegen.__new__(codegen.JITCPUCodegen)
             numbas = made._get_host_cpu_name(), made._get_host_cpu_features()
-            assert precompiled._processor(LLVM) == numbas, case
+            assert machine._processor(LLVM) == numbas, case
     config.reload_config()
 
 
 def test_machine_code_of_another_processor_is_left_aside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What lies ready is used without anything made or kept; else LLVM's code is optimised, and the object kept."""
     in_place(motion_kernels)
-    monkeypatch.setattr(precompiled, "folder", lambda: tmp_path)
+    monkeypatch.setattr(machine, "folder", lambda: tmp_path)
     kernel: Any = motion_kernels.matches_of_turns
     entry = precompiled.current(kernel)[0]
     key, content = tuple(entry["key"]), precompiled.file_of(kernel.path).read_bytes()
     header, _, body = content.partition(b"\n")
     start, size = entry["made"]
     damaged = body[:start] + bytes(size) + body[start + size :]
-    here = json.dumps(json.loads(header) | {"machine": precompiled.Machine().identity}).encode() + b"\n"
+    here = json.dumps(json.loads(header) | {"machine": Machine().identity}).encode() + b"\n"
     other = json.dumps(json.loads(header) | {"machine": "of another"}).encode() + b"\n"
-    if json.loads(header)["machine"] == precompiled.Machine().identity:
+    if json.loads(header)["machine"] == Machine().identity:
         assert precompiled.prepared(kernel, key) is not None
         assert not list(tmp_path.iterdir())
     for number, text in enumerate((other + body, here + damaged)):
@@ -155,7 +156,7 @@ def test_machine_code_of_another_processor_is_left_aside(tmp_path: Path, monkeyp
         path.write_bytes(kernel.path.read_bytes())
         path.with_suffix(".bc").write_bytes(text)
         monkeypatch.setattr(precompiled, "_digest", lambda _: entry["source"])
-        monkeypatch.setattr(precompiled, "_machine", precompiled.Machine)
+        monkeypatch.setattr(machine, "machine", Machine)
         assert precompiled.prepared(changed(kernel, path), key) is not None
         assert len(list(tmp_path.glob("*.o"))) == 1
 
@@ -185,7 +186,7 @@ def test_code_of_a_newer_llvm_is_not_prepared_here(monkeypatch: pytest.MonkeyPat
     in_place(binary_kernels)
     kernel: Any = binary_kernels.nearest_hamming
     assert precompiled.prepared_here(kernel)
-    monkeypatch.setattr(precompiled.Machine, "takes", lambda *_: False)
+    monkeypatch.setattr(Machine, "takes", lambda *_: False)
     assert not precompiled.prepared_here(kernel)
 
 
@@ -265,13 +266,13 @@ def test_what_another_translator_made_is_left_to_numba(tmp_path: Path, monkeypat
 
 def test_an_object_of_other_last_passes_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     in_place(motion_kernels)
-    monkeypatch.setattr(precompiled, "folder", lambda: tmp_path)
+    monkeypatch.setattr(machine, "folder", lambda: tmp_path)
     kernel: Any = motion_kernels.matches_of_turns
     entry, body = precompiled.current(kernel)[0], precompiled.file_of(kernel.path).read_bytes().partition(b"\n")[2]
     start, size = entry["at"]
     for number in (1, 1, 2):
-        monkeypatch.setattr(precompiled, "_own_digest", lambda number=number: str(number))
-        found = precompiled.Machine().addresses(
+        monkeypatch.setattr(machine, "_own_digest", lambda number=number: str(number))
+        found = Machine().addresses(
             entry["symbol"], body[start : start + size], tuple(entry["key"]), entry["result"], tuple(entry["outputs"])
         )
         assert found
@@ -280,17 +281,17 @@ def test_an_object_of_other_last_passes_is_made_again(tmp_path: Path, monkeypatc
 
 def test_an_object_that_was_cut_short_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     in_place(motion_kernels)
-    monkeypatch.setattr(precompiled, "folder", lambda: tmp_path)
-    machine = precompiled.Machine()
+    monkeypatch.setattr(machine, "folder", lambda: tmp_path)
+    here = Machine()
     kernel: Any = motion_kernels.matches_of_turns
     entry, body = precompiled.current(kernel)[0], precompiled.file_of(kernel.path).read_bytes().partition(b"\n")[2]
     start, size = entry["at"]
     told = entry["symbol"], body[start : start + size], tuple(entry["key"]), entry["result"], tuple(entry["outputs"])
-    assert machine.addresses(*told)
+    assert here.addresses(*told)
     (kept,) = tmp_path.iterdir()
     whole = kept.read_bytes()
     kept.write_bytes(whole[: len(whole) // 2])
-    assert precompiled.Machine().addresses(*told)
+    assert Machine().addresses(*told)
     assert kept.read_bytes() == whole
 
 
@@ -339,14 +340,14 @@ def test_the_compiler_knows_which_helpers_have_arrays_that_share_no_memory() -> 
 def test_the_processor_is_the_one_that_numba_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_CPU_NAME", "x86-64-v3")
     monkeypatch.setenv("NUMBA_CPU_FEATURES", "+avx2,-avx512f")
-    told = precompiled.Machine()
+    told = Machine()
     assert told.processor == ("x86-64-v3", "+avx2,-avx512f")
-    monkeypatch.setattr(precompiled, "_machine", lambda: told)
-    assert [precompiled.processor_has(name) for name in ("avx2", "avx512f", "avx")] == [True, False, False]
-    monkeypatch.setattr(precompiled, "_machine", lambda: None)
-    assert not precompiled.processor_has("avx2")
+    monkeypatch.setattr(machine, "machine", lambda: told)
+    assert [machine.processor_has(name) for name in ("avx2", "avx512f", "avx")] == [True, False, False]
+    monkeypatch.setattr(machine, "machine", lambda: None)
+    assert not machine.processor_has("avx2")
     # Only the generic processor lacks what the one at hand has.
     monkeypatch.delenv("NUMBA_CPU_FEATURES")
-    assert precompiled.Machine().processor[1] == LLVM.get_host_cpu_features().flatten()
+    assert Machine().processor[1] == LLVM.get_host_cpu_features().flatten()
     monkeypatch.setenv("NUMBA_CPU_NAME", "generic")
-    assert precompiled.Machine().processor == ("generic", "")
+    assert Machine().processor == ("generic", "")

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from featreg.runtime import precompiled
+from featreg.runtime.machine import Machine
 from featreg.runtime.preparing import LIST
 
 PACKAGE = Path(precompiled.__file__).parents[1]
@@ -45,11 +46,11 @@ def test_listed_kernels_are_translated_in_a_copy_of_the_package(tmp_path: Path) 
     (entry,) = json.loads(header)["kernels"]
     assert (entry["kernel"], entry["key"]) == ("matches_of_turns", listed[MODULE]["matches_of_turns"][0])
     start, size = entry["at"]
-    machine = precompiled.Machine()
+    machine = Machine()
     key = tuple(entry["key"])
     told = entry["symbol"], body[start : start + size], key, entry["result"], tuple(entry["outputs"])
     assert machine.addresses(*told)
     # Machine code of this processor lies beside it, in which nothing is wrong.
     assert json.loads(header)["machine"] == machine.identity
     start, size = entry["made"]
-    assert precompiled.Machine().addresses(entry["symbol"], b"", *told[2:], body[start : start + size])
+    assert Machine().addresses(entry["symbol"], b"", *told[2:], body[start : start + size])
