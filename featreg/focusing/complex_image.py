@@ -21,7 +21,7 @@ from featreg.focusing import autofocus
 from featreg.focusing.azimuth_filter import apply_phase, image_entropy
 from featreg.focusing.focus_gates import gates_of, reason_of
 from featreg.focusing.minimum_entropy import Descent
-from featreg.focusing.phase_error import Band
+from featreg.focusing.phase_error import Band, at_quick_length
 from featreg.focusing.pulse_spectra import PulseSpectra, default_workers, grouped, pulse_spectra
 from featreg.focusing.range_cells import cell_energies, choose_cells, count_points
 from featreg.focusing.result import FocusResult
@@ -169,7 +169,7 @@ def focus(
 def _whole(pixels: NDArray[Any], energy: FloatArray, before: float, *, settings: _Settings) -> FocusResult:
     """Focus with one phase for all range cells."""
     out = np.empty(pixels.shape, np.complex64)
-    chosen, found, check, band = _estimated(pixels, energy, out, settings)
+    chosen, found, band, check = _estimated(pixels, energy, out, settings)
     phase = band.detrended(found.phase) if settings.detrend else found.phase
     apply_phase(pixels, phase, settings.axis, out, workers=settings.workers)
     after = image_entropy(out, workers=settings.workers)
@@ -182,11 +182,15 @@ def _whole(pixels: NDArray[Any], energy: FloatArray, before: float, *, settings:
 
 def _estimated(
     pixels: NDArray[Any], energy: FloatArray, scratch: C64, settings: _Settings
-) -> tuple[IntArray, Descent, autofocus.Check, Band]:
-    """Cells, estimate, its check, and the band of pulses."""
+) -> tuple[IntArray, Descent, Band, autofocus.Check]:
+    """Cells, estimate, the band of pulses, and the estimate's check."""
 
     def spectra(cells: IntArray) -> PulseSpectra:
-        return pulse_spectra(pixels, settings.axis, cells, normalize=settings.normalize, workers=settings.workers)
+        made = pulse_spectra(pixels, settings.axis, cells, normalize=settings.normalize, workers=settings.workers)
+        return made if settings.method in PAPER else at_quick_length(made)
+
+    def in_image(found: Descent, cells: PulseSpectra) -> tuple[Descent, Band]:
+        return replace(found, phase=cells.in_image(found.phase)), Band.of(cells.in_image(cells.power()))
 
     def band_of(cells: PulseSpectra) -> Band:
         return Band.of(cells.power())
@@ -200,7 +204,7 @@ def _estimated(
             max_iterations=steps,
             each=each,
         )
-        return used.index, found, verdict, band_of(used)
+        return used.index, *in_image(found, used), verdict
     given = None if settings.method in ("pga", "pga-paper") else settings.fraction
     fraction = FRACTIONS[settings.method] if given is None else given
     chosen = choose_cells(energy, fraction)
@@ -211,7 +215,7 @@ def _estimated(
             band = band_of(strong)
             first = autofocus.estimate("mea", strong, band, max_iterations=steps, each=each)
             phase = band.at_a_sample(first.phase, strong)
-            seen = apply_phase(pixels, phase, settings.axis, scratch, workers=settings.workers)
+            seen = apply_phase(pixels, strong.in_image(phase), settings.axis, scratch, workers=settings.workers)
         chosen = choose_cells(energy, fraction, _counts(seen, len(energy), settings))
     cells = spectra(chosen)
     band = band_of(cells)
@@ -220,8 +224,9 @@ def _estimated(
     if settings.method == "legendre":
         free = autofocus.refined(cells, band, steps, each)
         free_check = autofocus.check(cells, band, free.phase, lambda part: autofocus.refined(part, band, steps, None))
-        return chosen, found, autofocus.check_parametric(cells, band, found.phase, free.phase, free_check), band
-    return chosen, found, autofocus.check(cells, band, found.phase, estimate), band
+        parametric_check = autofocus.check_parametric(cells, band, found.phase, free.phase, free_check)
+        return chosen, *in_image(found, cells), parametric_check
+    return chosen, *in_image(found, cells), autofocus.check(cells, band, found.phase, estimate)
 
 
 def _automatic_cells(energy: FloatArray, pulses: int, settings: _Settings, wide: bool) -> IntArray:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from featreg.focusing.pulse_spectra import FLOOR, PulseSpectra
+from featreg.focusing.pulse_spectra import FLOOR, LEAST_GAP, PulseSpectra
 from featreg.types import FloatArray, IntArray
 
 #: Zero padding of the search for the linear term.
@@ -45,6 +45,11 @@ class Band:
         off = np.mod(self.order - self.order[0], self.pulses).astype(np.float64)
         return np.asarray(2 * off / max(off[-1], 1.0) - 1)
 
+    @property
+    def gap(self) -> int:
+        """Pulses without signal between the end of the band and its first row, around the circle."""
+        return self.pulses - 1 - int((self.order[-1] - self.order[0]) % self.pulses)
+
     def spread(self, values: FloatArray) -> FloatArray:
         """(N,) in the order of the FFT, 0 where no pulse carries signal."""
         whole = np.zeros(self.pulses)
@@ -62,8 +67,8 @@ class Band:
             along = cells.spectra[strip][:, self.order] * turn
             return np.complex128(np.vdot(along[:, :-1], along[:, 1:]))
 
-        centre = -float(np.angle(sum(cells.over(task)))) * self.pulses / (2 * np.pi)
-        off = (centre - round(centre)) * 2 * np.pi / self.pulses
+        centre = -float(np.angle(sum(cells.over(task)))) * cells.image_pulses / (2 * np.pi)
+        off = (centre - round(centre)) * 2 * np.pi / cells.image_pulses
         return phase - self.spread(off * np.mod(self.order - self.order[0], self.pulses))
 
     def without_line(self, phase: FloatArray) -> FloatArray:
@@ -97,3 +102,9 @@ class Band:
         level = along - slope * np.mod(self.order - self.order[0], self.pulses)
         mean = float(np.angle(np.sum(self.weight * np.exp(1j * level))))
         return self.spread(np.angle(np.exp(1j * (level - mean))))
+
+
+def at_quick_length(cells: PulseSpectra) -> PulseSpectra:
+    """The cells, with empty pulses put in where the band leaves a gap for them, so that transforms are quick."""
+    band = Band.of(cells.power())
+    return cells.lengthened(int(band.order[0])) if band.gap >= LEAST_GAP * band.pulses else cells

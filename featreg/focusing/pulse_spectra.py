@@ -24,6 +24,8 @@ STRIP = 1 << 16
 RUN = 8
 #: Neighbouring groups are at least so many cells apart, unless a run of more than RUN cells had to be cut.
 GAP = 2
+#: Least share of the pulses that a gap must have for empty ones to be put in: a null within the band is none.
+LEAST_GAP = 0.02
 #: Power below which a pulse carries no signal, relative to the strongest.
 FLOOR = 1e-4
 
@@ -40,6 +42,7 @@ class PulseSpectra:
     share : (K,) float64 energy of each cell in the image, as a share of all K
     groups : (start, stop) rows of neighbouring cells, which see the same scatterers, one after the other
     workers : threads; the result does not depend on them
+    seam, added : the first of the empty pulses that were put in so that transforms are quick, and how many
     """
 
     spectra: C64
@@ -48,10 +51,17 @@ class PulseSpectra:
     share: FloatArray
     groups: tuple[tuple[int, int], ...]
     workers: int = 1
+    seam: int = 0
+    added: int = 0
 
     @property
     def pulses(self) -> int:
         return int(self.spectra.shape[1])
+
+    @property
+    def image_pulses(self) -> int:
+        """Pulses of the image, without those that were put in."""
+        return self.pulses - self.added
 
     @property
     def cells(self) -> int:
@@ -65,6 +75,26 @@ class PulseSpectra:
             return np.asarray(np.sum(part.real**2 + part.imag**2, axis=0, dtype=np.float64))
 
         return np.asarray(np.sum(self.over(task), axis=0) / self.cells)
+
+    def lengthened(self, seam: int) -> PulseSpectra:
+        """The same cells with empty pulses put in before row `seam`, to a length whose transforms are quick.
+
+        A transform of 503 samples takes four times as long as one of 504. Where pulses without signal lie at the seam,
+        a few more of them sample the same cells a little finer; within the band they would tear the cells apart.
+        """
+        from scipy.fft import next_fast_len
+
+        added = int(next_fast_len(self.pulses)) - self.pulses
+        if added == 0:
+            return self
+        spectra = np.zeros((self.cells, self.pulses + added), np.complex64)
+        spectra[:, :seam] = self.spectra[:, :seam]
+        spectra[:, seam + added :] = self.spectra[:, seam:]
+        return replace(self, spectra=spectra, seam=seam, added=added)
+
+    def in_image(self, values: FloatArray) -> FloatArray:
+        """(image_pulses,) of values of every pulse: without those of pulses that were put in."""
+        return np.delete(values, np.s_[self.seam : self.seam + self.added])
 
     def thinned(self, samples: int) -> PulseSpectra:
         """About so many samples, in whole groups spread over the range; at least two groups where there are two."""
@@ -147,8 +177,8 @@ class PulseSpectra:
 
     def _criteria(self, sums: FloatArray) -> tuple[float, float]:
         objective = -float(sums.sum()) / (self.cells * self.pulses)
-        energy = self.pulses * self.energy
-        within = np.log(energy) - sums / energy
+        # Finer samples would raise the entropy: it is that of as many as the image has.
+        within = np.log(self.image_pulses * self.energy) - sums / (self.pulses * self.energy)
         return objective, float(np.sum(self.share * (within - np.log(self.share))))
 
 
