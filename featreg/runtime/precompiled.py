@@ -50,10 +50,11 @@ NUMBERS: dict[str, tuple[tuple[type, ...], Callable[[Any], Any], Any]] = {
     "bool": ((bool, np.bool_), bool, ctypes.c_bool),
     "float32": ((np.float32,), float, ctypes.c_float),
 }
-#: Variables of numba that ask for other code than is prepared, and what they are where they do not.
+#: Variables of numba that ask for other code than is prepared, and what they are where they do not. NUMBA_DISABLE_JIT
+#: is none of them: it keeps numba from compiling, and as Python kernels would count in other types.
 OTHER_CODE = {
-    "NUMBA_DISABLE_JIT": "0", "NUMBA_BOUNDSCHECK": "0", "NUMBA_DEBUGINFO": "0", "NUMBA_OPT": "3",
-    "NUMBA_LOOP_VECTORIZE": "1", "NUMBA_SLP_VECTORIZE": "0",
+    "NUMBA_BOUNDSCHECK": "0", "NUMBA_DEBUGINFO": "0", "NUMBA_OPT": "3", "NUMBA_LOOP_VECTORIZE": "1",
+    "NUMBA_SLP_VECTORIZE": "0",
 }  # fmt: skip
 _KINDS = {kind: name for name, (kinds, _, _) in NUMBERS.items() for kind in kinds}
 #: Kinds of results: what holds them.

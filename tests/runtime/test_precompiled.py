@@ -109,7 +109,7 @@ def test_code_that_only_numba_makes_is_left_to_it(monkeypatch: pytest.MonkeyPatc
         monkeypatch.delenv(name, raising=False)
     monkeypatch.delenv("FEATREG_KERNELS", raising=False)
     assert not precompiled.left_to_numba()
-    for name, value in {"NUMBA_BOUNDSCHECK": "1", "NUMBA_DISABLE_JIT": "1", "NUMBA_OPT": "0"}.items():
+    for name, value in {"NUMBA_BOUNDSCHECK": "1", "NUMBA_SLP_VECTORIZE": "1", "NUMBA_OPT": "0"}.items():
         monkeypatch.setenv(name, value)
         assert precompiled.left_to_numba()
         assert precompiled.current(cast(Any, corner_kernels.in_order)) == []
