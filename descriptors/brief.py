@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Annotated
 
 import numpy as np
@@ -16,7 +16,7 @@ from featreg.registry import register
 from featreg.runtime.parameters import Count, Positive
 from featreg.sar.pyramid import REACH, SUPPORT, clear, level_count, pyramid
 from featreg.sar.speckle import despeckled_bytes_around
-from featreg.types import Features, FloatArray, Image, read_only
+from featreg.types import Features, FloatArray, Image, IntArray, read_only
 
 TURNS = 72
 
@@ -70,16 +70,28 @@ class Brief(Descriptor):
         kept = np.zeros(len(features), np.uint8)
         table = turned_pattern(self.bits, self.radius, self.spread)
         turns = _turns(features.angle) if self.oriented else np.zeros(len(features), np.int64)
-        for number in np.flatnonzero(np.bincount(numbers, minlength=len(chain))).tolist():
+        height, width = image.shape
+        for number, count in enumerate(np.bincount(numbers, minlength=len(chain)).tolist()):
+            if not count:
+                continue
             level = chain[number]
             allowed = clear(level, self.radius + REACH).view(np.uint8)
-            some = features.xy[numbers == number]
-            at = np.rint((some + 0.5) * (np.array(level.shape) / image.shape)[::-1] - 0.5).astype(np.int64)
-            flat = despeckled_bytes_around(level, at, math.ceil(self.radius), self.sigma).ravel()
-            size = image.shape[::-1]
-            binary_kernels.describe_level(flat, allowed, features.xy, *size, numbers, number, table, turns, words, kept)
-        index = np.flatnonzero(kept)
-        return features.take(index, descriptors=read_only(words[index].view(np.uint8)), norm="hamming", index=index)
+            places = partial(_places, features.xy, numbers, number, level, image)
+            flat = despeckled_bytes_around(level, places, count, math.ceil(self.radius), self.sigma).ravel()
+            binary_kernels.describe_level(
+                flat, allowed, features.xy, width, height, numbers, number, table, turns, words, kept
+            )
+        index = read_only(kept.nonzero()[0])
+        words = words.view(np.uint8)
+        if len(index) == len(features):
+            return features.having(descriptors=read_only(words), norm="hamming", index=index)
+        return features.take(index, descriptors=read_only(words.take(index, 0)), norm="hamming", index=index)
+
+
+def _places(xy: FloatArray, numbers: IntArray, number: int, level: Image, image: Image) -> IntArray:
+    """(M, 2) pixels of a level of an image on which those of the points fall whose number is that."""
+    scale = (np.array(level.shape) / image.shape)[::-1]
+    return np.asarray(np.rint((xy[numbers == number] + 0.5) * scale - 0.5), np.int64)
 
 
 def _turns(angle: FloatArray) -> NDArray[np.int64]:

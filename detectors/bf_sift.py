@@ -122,7 +122,7 @@ class BfSift(Detector):
         return everything.take(np.argsort(-everything.score, kind="stable"))
 
     def _plenty(self, image: Image) -> bool:
-        return bool(np.count_nonzero(image.mask) >= PLENTY * self.n_features)
+        return image.valid_count >= PLENTY * self.n_features
 
     def _space(self) -> BilateralSpace:
         return BilateralSpace(self.intervals, float(self.sigma), float(self.tone), self.exact)

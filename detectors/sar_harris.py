@@ -27,7 +27,7 @@ from featreg.sar.keypoints.gradient_histograms import dominant_orientation, furt
 from featreg.sar.keypoints.harris import harris_response, ratio_harris_response
 from featreg.sar.keypoints.maxima import interpolated, local_maxima, parabola_peak, quadratic_peak
 from featreg.sar.pyramid import clear, share_out, to_base
-from featreg.sar.speckle import filled_amplitude, valid_count
+from featreg.sar.speckle import filled_amplitude
 from featreg.types import Features, FloatArray, Image, IntArray
 
 F32 = NDArray[np.float32]
@@ -175,13 +175,13 @@ class SarHarris(Detector):
         return self._best(Features.concatenate(parts))
 
     def _plenty(self, image: Image) -> bool:
-        return bool(valid_count(image) >= PLENTY * self.n_features)
+        return image.valid_count >= PLENTY * self.n_features
 
     def _abundant(self, image: Image) -> bool:
         """As `_plenty`, of pixels so far from the border that corners of `finest` are found there."""
         border = 2 * math.ceil(self.support * self.finest)
         inner = max(0, image.shape[0] - border) * max(0, image.shape[1] - border)
-        return min(inner, valid_count(image)) >= ABUNDANT * self.n_features
+        return min(inner, image.valid_count) >= ABUNDANT * self.n_features
 
     def _first(self) -> int:
         """Number of the first scale that is not finer than `finest`, or of the last one."""

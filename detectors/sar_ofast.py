@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -15,10 +16,10 @@ from featreg.registry import register
 from featreg.runtime.parameters import Count, Positive
 from featreg.sar.gradients.gradient_field import from_base
 from featreg.sar.gradients.ratio import quantised_edges, ratio_gradients
-from featreg.sar.keypoints.corners import fast_corners, orientation, refine_centroid, refine_corner
+from featreg.sar.keypoints.corners import fast_corners, orient_level, refine_centroid, refine_corner
 from featreg.sar.pyramid import REACH, SUPPORT, clear, level_count, pyramid, share_out, to_base
-from featreg.sar.speckle import despeckled_bytes_around, valid_count
-from featreg.types import Features, Image
+from featreg.sar.speckle import despeckled_bytes_around
+from featreg.types import Features, Image, read_only
 
 ORIENTATION_RADIUS = 15
 # Least number of valid pixels of the first level for each keypoint asked for where finer levels are not searched.
@@ -100,38 +101,42 @@ class SarOfast(Detector):
         found = [self._corners(level) for level in chain]
         counts = share_out(self.n_features, [len(score) for _, score in found], self.quota_decay)
         parts = []
-        for level, (xy, score), count in zip(chain, found, counts, strict=True):
+        for number, (level, (xy, score), count) in enumerate(zip(chain, found, counts, strict=True), first):
             moved, stable = self._subpixel(level, xy[:count])
-            parts.append((to_base(moved, level, image), score[:count], stable))
-        places, score, stable = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-        scales = [self.support * math.sqrt(image.mask.size / level.mask.size) for level in chain]
+            radius = self.support * math.sqrt(image.mask.size / level.mask.size)
+            parts.append(
+                (to_base(moved, level, image), score[:count], stable, np.full(count, radius), np.full(count, number))
+            )
+        places, score, stable, scale, numbers = (np.concatenate(columns) for columns in zip(*parts, strict=True))
         order = np.argsort(255 - score, kind="stable")
         return Features(
-            xy=places[order],
-            scale=np.repeat(scales, counts)[order],
-            angle=np.zeros(len(order)),
-            score=score[order],
-            level=np.repeat(np.arange(first, first + len(chain)), counts)[order],
-            subpixel=stable[order],
+            xy=read_only(places.take(order, 0)),
+            scale=read_only(scale.take(order)),
+            angle=read_only(np.zeros(len(order))),
+            score=score.take(order),
+            level=read_only(numbers.take(order)),
+            subpixel=read_only(stable.take(order)),
         )
 
     def oriented(self, image: Image, features: Features) -> Features:
         """With the direction to the centroid of the disc around the pixel on which a keypoint falls on its level."""
-        angle = np.zeros(len(features))
-        chain = pyramid(image, int(features.level.max(initial=0)) + 1, self.factor)
-        for number in np.flatnonzero(np.bincount(features.level, minlength=len(chain))).tolist():
-            level, of_level = chain[number], features.level == number
-            at = np.rint(from_base(features.xy[of_level], level, image)).astype(np.int64)
+        angle, numbers, shape = np.zeros(len(features)), features.level, image.shape
+        counts = np.bincount(numbers).tolist()
+        chain = pyramid(image, len(counts), self.factor)
+        for number, (level, count) in enumerate(zip(chain, counts, strict=False)):
+            if not count:
+                continue
             if self.centroid == "amplitude":
-                view = despeckled_bytes_around(level, at, ORIENTATION_RADIUS)
+                places = partial(_places, features, number, level, image)
+                view = despeckled_bytes_around(level, places, count, ORIENTATION_RADIUS)
             else:
                 view = self._edges(level)
-            angle[of_level] = orientation(view, at, ORIENTATION_RADIUS)
-        return replace(features, angle=angle)
+            orient_level(view, features.xy, shape, numbers, number, ORIENTATION_RADIUS, angle)
+        return features.having(angle=read_only(angle))
 
     def _skipped(self, image: Image) -> int:
         """How many of the finest levels are not searched: none for which no coarser one can hold a keypoint instead."""
-        valid, skipped = valid_count(image), 0
+        valid, skipped = image.valid_count, 0
         most = min(self.skip, level_count(image.shape, self.skip + self.levels, self.factor) - self.levels)
         # What the last level is smaller by at most, so that more than a border is left of it.
         smaller = min(image.shape) / (2 * math.ceil(self.support + REACH) + 1)
@@ -153,3 +158,8 @@ class SarOfast(Detector):
         if self.subpixel == "corner":
             return refine_corner(*ratio_gradients(level, self.alpha, self.floor), at, self.sigma)
         return at.astype(np.float64), np.ones(len(at), np.bool_)
+
+
+def _places(features: Features, number: int, level: Image, image: Image) -> NDArray[np.int64]:
+    """(M, 2) pixels of a level of that number of an image on which its keypoints fall."""
+    return np.asarray(np.rint(from_base(features.xy[features.level == number], level, image)), np.int64)

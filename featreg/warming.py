@@ -27,6 +27,7 @@ DEFAULT = (
     "featreg.geometry.robust_kernels",
     "featreg.pipeline.agreement_kernels",
     "featreg.pipeline.identical_kernels",
+    "featreg.pipeline.located_kernels",
     "featreg.sar.bridging_kernels",
     "featreg.sar.keypoints.binary_kernels",
     "featreg.sar.keypoints.corner_kernels",
@@ -106,7 +107,7 @@ def _warm_windows(pixels: Any) -> None:
     taps = np.ones((TERMS, 1 + HALF), np.float32)
     aligned_windows(image, np.tile(np.eye(2, 3), (2, 1, 1)), image.shape, at - 16, 32, gaussian(1.0), (taps, taps))
     local_correlations(pixels, pixels, at, 5, 1)
-    despeckled_bytes_around(image, at, 4)
+    despeckled_bytes_around(image, lambda: at, len(at), 4)
 
 
 def _warm_drawings(reference: Any, secondary: Any) -> None:

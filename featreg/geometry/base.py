@@ -145,14 +145,30 @@ class MatrixModel(Model):
 
     def __call__(self, xy: ArrayLike) -> FloatArray:
         p = np.asarray(xy, np.float64)
-        x, y = p[..., 0], p[..., 1]
         out = np.empty_like(p)
-        for axis, (a, b, shift) in enumerate(self.matrix[:2].tolist()):
-            mapped = a * x
-            mapped += b * y
-            mapped += shift
-            out[..., axis] = mapped
+        out[..., 0], out[..., 1] = self._mapped(p)
         return out
+
+    def residuals(self, reference_xy: ArrayLike, secondary_xy: ArrayLike) -> FloatArray:
+        if type(self).__call__ is not MatrixModel.__call__:
+            return super().residuals(reference_xy, secondary_xy)
+        q = np.asarray(secondary_xy, np.float64)
+        x, y = self._mapped(np.asarray(reference_xy, np.float64))
+        x -= q[..., 0]
+        y -= q[..., 1]
+        return np.asarray(np.hypot(x, y))
+
+    def _mapped(self, p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The coordinates of points (..., 2) by the first two rows of the matrix."""
+        x, y = p[..., 0], p[..., 1]
+        along, down = self.matrix[:2].tolist()
+        mapped = []
+        for a, b, shift in (along, down):
+            out = a * x
+            out += b * y
+            out += shift
+            mapped.append(out)
+        return mapped[0], mapped[1]
 
     def _linear(self) -> FloatArray:
         return self.matrix[:2, :2]

@@ -23,6 +23,7 @@ from featreg.sar.correlation import Peaks, local_correlations, peaks
 from featreg.sar.filtered_rows import filtered_rows
 from featreg.sar.speckle import filled_amplitude, log_amplitude, log_floor
 from featreg.types import BoolArray, FloatArray, Image, IntArray
+from featreg.types.arrays import middle
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
@@ -317,7 +318,7 @@ def _mapped(model: Model, size: tuple[int, int], step: int) -> tuple[FloatArray,
     nodes = np.where(np.isfinite(nodes), np.clip(nodes, -NOWHERE_PX, NOWHERE_PX), -NOWHERE_PX)
     along, below = (np.diff(nodes, axis=axis) for axis in (1, 0))
     area = along[:-1, :, 0] * below[:, :-1, 1] - along[:-1, :, 1] * below[:, :-1, 0]
-    return nodes, math.sqrt(float(np.median(np.abs(area)))) / (APART * step)
+    return nodes, math.sqrt(middle(np.abs(area).ravel())) / (APART * step)
 
 
 def _usable(image: Image, without: BoolArray | None) -> U8:

@@ -14,6 +14,7 @@ from featreg.sar.bridging import on_sample
 from featreg.sar.correlation import Peaks
 from featreg.sar.pyramid import clear
 from featreg.types import BoolArray, FloatArray, Image, IntArray
+from featreg.types.arrays import middle
 
 F32 = NDArray[np.float32]
 
@@ -111,11 +112,17 @@ def shared_pixels(reference: Image, secondary: Image, model: Model) -> BoolArray
     return np.asarray(there.view(np.bool_) & reference.mask)
 
 
+def affine_matrix(model: Model) -> FloatArray | None:
+    """The (2, 3) map of a model that is affine, or None."""
+    matrix = model.matrix
+    return matrix[:2] if matrix is not None and matrix[2].tolist() == [0, 0, 1] else None
+
+
 def linear_parts(model: Model, xy: FloatArray) -> FloatArray:
     """(N, 2, 2) linear part of a model at each of (N, 2) points."""
-    matrix = model.matrix
-    if matrix is not None and np.array_equal(matrix[2], [0, 0, 1]):
-        return np.broadcast_to(matrix[:2, :2], (len(xy), 2, 2))
+    affine = affine_matrix(model)
+    if affine is not None:
+        return np.broadcast_to(affine[:, :2], (len(xy), 2, 2))
     mapped = model(xy)
     return np.stack([(model(xy + step) - mapped) / STEP_PX for step in STEP_PX * np.eye(2)], axis=-1)
 
@@ -142,9 +149,13 @@ def peak_covariance(found: Peaks, model: Model, xy: FloatArray) -> FloatArray:
     It is (1 - rho^2) times the inverse curvature of the peak, brought to the pixels of the secondary by the linear part
     of the model.
     """
-    linear = linear_parts(model, xy)
-    own = np.maximum(1 - found.height**2, 1e-6)[:, None, None] * inverted(found.curvature)
-    return np.asarray(linear @ own @ linear.swapaxes(1, 2))
+    from featreg.pipeline.located_kernels import covariances
+
+    affine = affine_matrix(model)
+    linear = linear_parts(model, xy) if affine is None else np.ascontiguousarray(affine[None, :, :2])
+    out = np.empty((len(found.height), 2, 2))
+    covariances(found.height, np.ascontiguousarray(found.curvature), np.ascontiguousarray(linear), out)
+    return out
 
 
 def variance_factor(residuals: FloatArray, covariance: FloatArray) -> float:
@@ -156,8 +167,11 @@ def variance_factor(residuals: FloatArray, covariance: FloatArray) -> float:
     """
     if not len(residuals):
         return 1.0
-    squared = np.einsum("ni,nij,nj->n", residuals, inverted(covariance), residuals)
-    return float(np.median(squared) / (2 * np.log(2)))
+    from featreg.pipeline.located_kernels import squared_lengths
+
+    squared = np.empty(len(residuals))
+    squared_lengths(np.ascontiguousarray(residuals), np.ascontiguousarray(covariance), squared)
+    return middle(squared) / (2 * math.log(2))
 
 
 class WholeWindows:
@@ -211,11 +225,8 @@ class WholeWindows:
         good = np.zeros(len(xy), np.bool_)
         if not len(xy):
             return good
-        matrix = self.model.matrix
-        if matrix is not None and np.array_equal(matrix[2], [0, 0, 1]):
-            maps = np.ascontiguousarray(matrix[None, :2])
-        else:
-            maps = local_affines(self.model, xy.astype(np.float64))
+        affine = affine_matrix(self.model)
+        maps = local_affines(self.model, xy.astype(np.float64)) if affine is None else affine[None].copy()
         stretch = np.abs(maps[:, :, :2]).sum(axis=2)
         # What a model does not know of one window says nothing of the others.
         most = min(float(stretch[np.isfinite(stretch)].max(initial=1.0)), 10.0)

@@ -16,8 +16,8 @@ from featreg.runtime.buffers import keeping
 from featreg.runtime.threads import side_by_side
 from featreg.runtime.timing import stage
 from featreg.sar.pyramid import pyramid, to_base
-from featreg.sar.speckle import valid_count
-from featreg.types import Features, FloatArray, Image, IntArray, Matches
+from featreg.types import Features, FloatArray, Image, IntArray, Matches, read_only
+from featreg.types.arrays import middle
 
 # The vote on a common rotation: how many features take part, the width of a bin, and how far (in standard
 # deviations of a Poisson count) the best must stand out.
@@ -93,7 +93,7 @@ class FeatureMatcher(Matcher):
     def _share(self, *images: Image) -> float:
         """The share of their sides at which features are found in images."""
         wanted = self.pixels_per_feature * self.n_features
-        pixels = min(valid_count(image) for image in images) if wanted else 0
+        pixels = min(image.valid_count for image in images) if wanted else 0
         if not pixels:
             return 1.0
         share = max(LEAST_SHARE, LEAST_SIDE / min(min(image.shape) for image in images), math.sqrt(wanted / pixels))
@@ -112,7 +112,7 @@ class FeatureMatcher(Matcher):
                 found = self._each(detector.oriented, list(zip(images, found, strict=True)), detector)
             else:
                 turns = (0.0, rotation)
-                found = [replace(f, angle=np.full(len(f), turn)) for f, turn in zip(found, turns, strict=True)]
+                found = [f.having(angle=read_only(np.full(len(f), turn))) for f, turn in zip(found, turns, strict=True)]
         with stage("describe"):
             a, b = self._each(self._describe, [(reference, found[0]), (secondary, found[1])], self.descriptor)
         with stage("match"):
@@ -178,7 +178,8 @@ def common_rotation(differences: FloatArray) -> float | None:
     wrapped = _wrapped(differences)
     bins: IntArray = np.floor((wrapped + math.pi) / (2 * math.pi) * BINS).astype(np.int64) % BINS
     counts = np.bincount(bins, minlength=BINS)
-    window = np.sum([np.roll(counts, shift) for shift in range(-SMOOTHING, SMOOTHING + 1)], axis=0)
+    around = np.concatenate([counts[-SMOOTHING:], counts, counts[:SMOOTHING]])
+    window = np.convolve(around, np.ones(2 * SMOOTHING + 1, np.int64), "valid")
     best = int(np.argmax(window))
     expected = len(wrapped) * (2 * SMOOTHING + 1) / BINS
     if window[best] < expected + SIGNIFICANCE * math.sqrt(expected):
@@ -186,7 +187,7 @@ def common_rotation(differences: FloatArray) -> float | None:
     centre = (best + 0.5) / BINS * 2 * math.pi - math.pi
     near = _wrapped(wrapped - centre)
     near = near[np.abs(near) <= (2 * SMOOTHING + 1) * math.pi / BINS]
-    return float(centre + np.median(near))
+    return centre + middle(near)
 
 
 def _wrapped(angle: FloatArray) -> FloatArray:

@@ -28,7 +28,7 @@ def input_image(image: Image | Source) -> InputImage:
 
         size = pixel_size(place)
     if isinstance(image, Image):
-        count = int(np.count_nonzero(image.mask))
+        count = image.valid_count
         told = {"band": image.band, "calibration": image.calibration, "nodata": image.nodata}
         return InputImage(image.name, image.shape, image.scale, image.source_dtype, count, size, place, **told)
     told = {

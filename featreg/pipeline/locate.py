@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from featreg.interfaces import Model
 from featreg.pipeline.aligned import (
     WholeWindows,
+    affine_matrix,
     inverted,
     linear_parts,
     local_affines,
@@ -116,6 +117,21 @@ class Locate:
         self, reference: Image, secondary: Image, model: Model, matches: Matches, rows: IntArray
     ) -> tuple[IntArray, IntArray, IntArray]:
         """Whole pixels of the reference, whole offsets on its grid from the model, rows: of what can be measured."""
+        affine = affine_matrix(model)
+        if affine is None:
+            at, offset, rows = self._near(reference, model, matches, rows)
+        else:
+            at, offset, rows = self._near_affine(reference, affine, matches, rows)
+        whole = WholeWindows(reference, secondary, model, self.half_width)
+        good = whole.in_reference(at)
+        good[good] = whole.in_secondary((at + offset)[good])
+        kept = np.flatnonzero(good)
+        return at.take(kept, 0), offset.take(kept, 0), rows.take(kept)
+
+    def _near(
+        self, reference: Image, model: Model, matches: Matches, rows: IntArray
+    ) -> tuple[IntArray, IntArray, IntArray]:
+        """As `_starts`, of those near the model and inside, whatever is valid around them."""
         xy = matches.reference_xy[rows]
         at = np.rint(xy).astype(np.int64)
         off = _offsets(model, xy, matches.secondary_xy[rows])
@@ -123,11 +139,23 @@ class Locate:
         at, offset, rows = at[near], np.rint(off[near]).astype(np.int64), rows[near]
         room = np.array(reference.shape[::-1]) - self.reach
         good = ((at >= self.reach) & (at < room) & (at + offset >= self.reach) & (at + offset < room)).all(axis=1)
-        at, offset, rows = at[good], offset[good], rows[good]
-        whole = WholeWindows(reference, secondary, model, self.half_width)
-        good = whole.in_reference(at)
-        good[good] = whole.in_secondary((at + offset)[good])
         return at[good], offset[good], rows[good]
+
+    def _near_affine(
+        self, reference: Image, affine: FloatArray, matches: Matches, rows: IntArray
+    ) -> tuple[IntArray, IntArray, IntArray]:
+        """As `_near`, of an affine map (2, 3)."""
+        from featreg.pipeline.located_kernels import starts
+
+        count, (height, width) = len(rows), reference.shape
+        at, offset, kept = np.empty((count, 2), np.int64), np.empty((count, 2), np.int64), np.empty(count, np.int64)
+        back = np.ascontiguousarray(inverted(affine[None, :, :2])[0])
+        forth, rows = np.ascontiguousarray(affine), np.ascontiguousarray(rows, np.int64)
+        found = starts(
+            matches.reference_xy, matches.secondary_xy, rows, forth, back, FAR_PX, self.reach, width, height,
+            at, offset, kept,
+        )  # fmt: skip
+        return at[:found], offset[:found], kept[:found]
 
 
 def _offsets(model: Model, reference_xy: FloatArray, secondary_xy: FloatArray) -> FloatArray:

@@ -23,8 +23,7 @@ def collecting() -> Iterator[dict[str, float]]:
         _current.reset(token)
 
 
-@contextmanager
-def stage(name: str) -> Iterator[None]:
+class stage:  # noqa: N801  # it stands behind `with`, as functions do
     """Add the time spent inside to stage `name` of the collection around, if there is one.
 
     Raises
@@ -32,13 +31,17 @@ def stage(name: str) -> Iterator[None]:
     CancelledError
         The work around was cancelled, see `featreg.runtime.watching`.
     """
-    check_cancelled()
-    timings = _current.get()
-    if timings is None:
-        yield
-        return
-    start = time.perf_counter()
-    try:
-        yield
-    finally:
-        timings[name] = timings.get(name, 0.0) + time.perf_counter() - start
+
+    __slots__ = ("name", "start", "timings")
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def __enter__(self) -> None:
+        check_cancelled()
+        self.timings = _current.get()
+        self.start = time.perf_counter()
+
+    def __exit__(self, *_: object) -> None:
+        if self.timings is not None:
+            self.timings[self.name] = self.timings.get(self.name, 0.0) + time.perf_counter() - self.start

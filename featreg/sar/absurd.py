@@ -34,7 +34,7 @@ def absurd_samples(image: Image) -> BoolArray | None:
     if level is None:
         return None
     found = np.asarray((image.amplitude >= level) & image.mask)
-    few = np.count_nonzero(found) <= max(1.0, FEW * np.count_nonzero(image.mask))
+    few = np.count_nonzero(found) <= max(1.0, FEW * image.valid_count)
     return found if few or _constant(image.amplitude[found]) else None
 
 
@@ -44,7 +44,7 @@ def fill_hint(image: Image, role: str) -> str:
     if level is None:
         return ""
     values = image.amplitude[(image.amplitude >= level) & image.mask]
-    share = values.size / max(1, int(np.count_nonzero(image.mask)))
+    share = values.size / max(1, image.valid_count)
     if share < MANY or not _constant(values):
         return ""
     given = {"intensity": float(values[0]) ** 2, "db": 20 * math.log10(float(values[0]))}

@@ -42,7 +42,8 @@ class Peaks:
 
     def take(self, rows: BoolArray) -> Peaks:
         """Those of an (N,) bool mask."""
-        return Peaks(self.shift[rows], self.height[rows], self.curvature[rows], self.sound[rows])
+        at = np.flatnonzero(rows)
+        return Peaks(self.shift.take(at, 0), self.height.take(at), self.curvature.take(at, 0), self.sound.take(at))
 
 
 def local_correlations(

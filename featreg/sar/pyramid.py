@@ -36,6 +36,7 @@ def pyramid(image: Image, levels: int = 8, factor: float = 1.2) -> tuple[Image, 
     return (base, *(base.derive(_level, number=number, factor=float(factor)) for number in range(1, count)))
 
 
+@lru_cache(maxsize=256)
 def level_count(shape: tuple[int, int], most: int, factor: float) -> int:
     """Return how many levels, at most so many, the pyramid of an image of that shape (H, W) has; at least 1."""
     count = 1

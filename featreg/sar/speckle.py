@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from featreg.runtime.threads import in_parts
-from featreg.types import Image, IntArray
+from featreg.types import Image, IntArray, read_only
 
 F32 = NDArray[np.float32]
 
@@ -22,6 +23,7 @@ LARGE, BAND = 1 << 20, 64
 STRIP, STEPS = 1 << 16, 28
 # Side of the squares in which bytes are made where points are, px, and the share of an image from which on all are.
 TILE, MANY = 16, 0.6
+# What kernels take for an output that is not asked for.
 NO_ROWS, NO_BYTES = np.empty((0, 0), np.float32), np.empty((0, 0), np.uint8)
 # What the mean of the logarithm lies below the logarithm of the mean, about, of one look.
 BELOW_MEAN = 0.25
@@ -56,15 +58,22 @@ def despeckled_bytes(image: Image, sigma: float = 1.0) -> NDArray[np.uint8]:
 
     A quarter of the memory, so that scattered look-ups stay in the cache; the step is a fifth of what speckle leaves.
     """
-    return image.derive(_byte_view, sigma=float(sigma)).whole(image)
+    view = image.derive(_byte_view, sigma=float(sigma))
+    return view.seen if view.complete else view.whole(image)
 
 
-def despeckled_bytes_around(image: Image, xy: IntArray, reach: int, sigma: float = 1.0) -> NDArray[np.uint8]:
-    """Return `despeckled_bytes`, of which only what lies up to `reach` px around points (N, 2) along x and y is made.
+def despeckled_bytes_around(
+    image: Image, places: Callable[[], IntArray], count: int, reach: int, sigma: float = 1.0
+) -> NDArray[np.uint8]:
+    """Return `despeckled_bytes`, of which only what lies up to `reach` px around some pixels along x and y is made.
 
-    The rest is arbitrary, or what was made for points before; all of it where the points are many.
+    The rest is arbitrary, or what was made for others before; all of it where they are many. They are the (N, 2) that
+    `places` returns, which is asked only where it matters, and as many as `count`.
     """
-    return image.derive(_byte_view, sigma=float(sigma)).around(image, xy, reach)
+    view = image.derive(_byte_view, sigma=float(sigma))
+    if view.complete:
+        return view.seen
+    return view.whole(image) if view.worth(count, reach) else view.around(image, places(), reach)
 
 
 def equivalent_looks(image: Image) -> float:
@@ -110,7 +119,11 @@ def _filled_amplitude(image: Image) -> F32:
 
 def log_floor(image: Image) -> np.float32:
     """Return the least amplitude of which a logarithm is taken."""
-    return np.float32(max(FLOOR * mean_amplitude(image), 1e-30))
+    return _floor(mean_amplitude(image))
+
+
+def _floor(mean: float) -> np.float32:
+    return np.float32(max(FLOOR * mean, 1e-30))
 
 
 def gaussian_reach(sigma: float) -> int:
@@ -118,18 +131,9 @@ def gaussian_reach(sigma: float) -> int:
     return max(1, round(2.5 * sigma))
 
 
-def valid_count(image: Image) -> int:
-    """Return how many pixels are valid."""
-    return image.mask.size if image.all_valid else image.derive(_valid_count)
-
-
 def mean_amplitude(image: Image) -> float:
     """Return the mean amplitude of the valid pixels (0 where there is none)."""
     return image.derive(_mean_amplitude)
-
-
-def _valid_count(image: Image) -> int:
-    return int(np.count_nonzero(image.mask))
 
 
 def _equivalent_looks(image: Image) -> float:
@@ -164,7 +168,7 @@ def _mean_amplitude(image: Image) -> float:
 
         in_parts(part, len(rows), BAND * amplitude.shape[1])
         total = float(sums.sum())
-    return total / max(valid_count(image), 1)
+    return total / max(image.valid_count, 1)
 
 
 def _log_amplitude(image: Image) -> F32:
@@ -229,32 +233,33 @@ class _ByteView:
     def __init__(self, shape: tuple[int, int], sigma: float) -> None:
         self.sigma, self.lock = sigma, threading.Lock()
         self.steps = np.empty(shape, np.uint8)
+        self.seen = self.steps.view()
+        self.seen.flags.writeable = False
         self.made = np.zeros((-(-shape[0] // TILE), -(-shape[1] // TILE)), np.uint8)
+        self.complete = False
 
     @property
     def nbytes(self) -> int:
         """What it holds, for the store of derived maps."""
         return self.steps.nbytes + self.made.nbytes
 
+    def worth(self, count: int, reach: int) -> bool:
+        """Whether so many points are worth making all of it."""
+        return count * (2 * reach + TILE) ** 2 > MANY * self.steps.size
+
     def around(self, image: Image, xy: IntArray, reach: int) -> NDArray[np.uint8]:
-        if len(xy) * (2 * reach + TILE) ** 2 > MANY * self.steps.size:
-            return self.whole(image)
         with self.lock:
-            if len(xy) and not self.made.all():
+            if len(xy) and not self.complete:
                 self._make(image, xy, reach)
-        return self._seen()
+                self.complete = bool(self.made.all())
+        return self.seen
 
     def whole(self, image: Image) -> NDArray[np.uint8]:
         with self.lock:
-            if not self.made.all():
+            if not self.complete:
                 _smooth(image, self.sigma, NO_ROWS, self.steps)
-                self.made[:] = 2
-        return self._seen()
-
-    def _seen(self) -> NDArray[np.uint8]:
-        seen = self.steps.view()
-        seen.flags.writeable = False
-        return seen
+                self.complete = True
+        return self.seen
 
     def _make(self, image: Image, xy: IntArray, reach: int) -> None:
         from featreg.sar import speckle_kernels
@@ -286,12 +291,18 @@ def _byte_view(image: Image, sigma: float) -> _ByteView:
 
 def _byte_terms(image: Image, sigma: float) -> tuple[np.float32, F32, np.float32]:
     """Least amplitude, taps of the Gaussian, and what is added to the steps."""
+    mean = mean_amplitude(image)
+    # A half more rounds to the nearest.
+    return _floor(mean), _taps(sigma), np.float32(_byte_offset(mean) + 0.5)
+
+
+@lru_cache(maxsize=16)
+def _taps(sigma: float) -> F32:
+    """Those of the middle of a Gaussian and of the pixels beside it."""
     import cv2
 
     reach = gaussian_reach(sigma)
-    taps = np.asarray(cv2.getGaussianKernel(2 * reach + 1, sigma).ravel()[reach:], np.float32)
-    # A half more rounds to the nearest.
-    return log_floor(image), taps, np.float32(_byte_offset(image) + 0.5)
+    return read_only(np.array(cv2.getGaussianKernel(2 * reach + 1, sigma).ravel()[reach:], np.float32))
 
 
 def _smooth(image: Image, sigma: float, smooth: F32, steps: NDArray[np.uint8]) -> None:
@@ -309,8 +320,8 @@ def _smooth(image: Image, sigma: float, smooth: F32, steps: NDArray[np.uint8]) -
     in_parts(part, *image.shape)
 
 
-def _byte_offset(image: Image) -> float:
-    """What is added to the steps of a logarithm, so that 128 is about the mean level."""
+def _byte_offset(mean: float) -> float:
+    """What is added to the steps of a logarithm, so that 128 is about the level of the mean amplitude."""
     # The mean of the logarithm of speckle lies that much below the logarithm of its mean, about; the floor of the
     # logarithm lies log(100) = 4.6 below the mean amplitude, so nothing turns negative.
-    return 128 - STEPS * (math.log(max(mean_amplitude(image), 1e-30)) - BELOW_MEAN)
+    return 128 - STEPS * (math.log(max(mean, 1e-30)) - BELOW_MEAN)

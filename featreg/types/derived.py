@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 
 MAX_BYTES = 1 << 30
+#: Kinds of values that take no memory to speak of.
+PLAIN = frozenset((bool, int, float))
 
 
 @lru_cache(maxsize=256)
@@ -49,16 +51,18 @@ class DerivedMaps:
 
     def get(self, image: Any, function: Callable[..., Any], params: Mapping[str, Any]) -> Any:
         key = _key(function, *params.items())
-        with self._lock:
+        # Looking up and moving are one operation each for the interpreter; what went in between is still at hand.
+        found = self._maps.get(key)
+        if found is not None:
+            try:  # noqa: SIM105  # a context of its own takes longer than all of this
+                self._maps.move_to_end(key)
+            except KeyError:
+                pass
+            return found[0]
+        with self._locks.setdefault(key, threading.Lock()):
             found = self._maps.get(key)
             if found is not None:
-                self._maps.move_to_end(key)
                 return found[0]
-            lock = self._locks.setdefault(key, threading.Lock())
-        with lock:
-            with self._lock:
-                if key in self._maps:
-                    return self._maps[key][0]
             value = function(image, **params)
             self._keep(key, value)
             return value
@@ -70,6 +74,9 @@ class DerivedMaps:
             self._bytes = 0
 
     def _keep(self, key: Any, value: Any) -> None:
+        if type(value) in PLAIN:
+            self._maps[key] = value, 0
+            return
         parts = value if isinstance(value, tuple) else (value,)
         arrays = [array for part in parts for array in _arrays(part)]
         for array in arrays:

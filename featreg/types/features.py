@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Self
 
@@ -28,6 +28,18 @@ from featreg.types.arrays import (
 
 if TYPE_CHECKING:
     from torch import Tensor
+
+#: Column -> kind of its numbers, beside the points themselves; of descriptors the norm decides.
+COLUMNS: Mapping[str, Any] = {
+    "scale": np.float64,
+    "angle": np.float64,
+    "score": np.float64,
+    "level": np.int64,
+    "descriptors": None,
+    "index": np.int64,
+    "subpixel": np.bool_,
+}
+OPTIONAL = ("descriptors", "index", "subpixel")
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,25 +85,25 @@ class Features(ReadOnlyArrays, Shown):
         ) -> None: ...
 
     def __post_init__(self) -> None:
-        put = object.__setattr__
-        put(self, "xy", points(self.xy, "Features.xy"))
-        n = len(self.xy)
-        for name in ("scale", "angle", "score"):
-            put(self, name, finite(column(getattr(self, name), n, f"Features.{name}"), f"Features.{name}"))
-        put(self, "level", column(self.level, n, "Features.level", np.int64))
-        for name, dtype in (("index", np.int64), ("subpixel", np.bool_)):
-            if getattr(self, name) is not None:
-                put(self, name, column(getattr(self, name), n, f"Features.{name}", dtype))
+        object.__setattr__(self, "xy", points(self.xy, "Features.xy"))
         if self.norm not in ("l2", "hamming"):
             raise InputError(f"Features.norm must be 'l2' or 'hamming', got '{self.norm}'")
-        if self.descriptors is not None:
-            wanted = np.float32 if self.norm == "l2" else np.uint8
-            d = self.descriptors
-            if not isinstance(d, np.ndarray):
-                raise InputError(f"descriptors must be ({n}, D) {np.dtype(wanted)}, got {type(d).__name__}")
-            if d.ndim != 2 or len(d) != n or d.dtype != wanted:
-                raise InputError(f"descriptors must be ({n}, D) {np.dtype(wanted)}, got {d.dtype} {d.shape}")
-            put(self, "descriptors", kept(d))
+        self.__dict__.update(self._checked({name: vars(self)[name] for name in COLUMNS}, self.norm))
+
+    def _checked(self, columns: Mapping[str, Any], norm: str) -> dict[str, Any]:
+        """Columns of these points as they are kept, descriptors of that norm; None stays None where it may be."""
+        n = len(self.xy)
+        checked: dict[str, Any] = {}
+        for name, values in columns.items():
+            if values is None and name in OPTIONAL:
+                checked[name] = None
+            elif name == "descriptors":
+                checked[name] = _descriptors(values, n, norm)
+            else:
+                what = f"Features.{name}"
+                held = column(values, n, what, COLUMNS[name])
+                checked[name] = finite(held, what) if COLUMNS[name] is np.float64 else held
+        return checked
 
     @classmethod
     def empty(cls) -> Self:
@@ -134,7 +146,18 @@ class Features(ReadOnlyArrays, Shown):
     def take(self, rows: NDArray[Any], **new: Any) -> Self:
         """The features of the given rows (indices or a bool mask), in that order; with other columns where given."""
         found = self._with_rows(rows)
-        return replace(found, **new) if new else found
+        return found.having(**new) if new else found
+
+    def having(self, **new: Any) -> Self:
+        """The same points with other columns; only these are checked. Other points (`xy`) are other features."""
+        if "xy" in new or not new.keys() <= self.__dict__.keys():
+            return replace(self, **new)
+        norm = new.pop("norm", self.norm)
+        if norm != self.norm and self.descriptors is not None and "descriptors" not in new:
+            return replace(self, norm=norm, **new)
+        if norm not in ("l2", "hamming"):
+            raise InputError(f"Features.norm must be 'l2' or 'hamming', got '{norm}'")
+        return self._with_columns({**self._checked(new, norm), "norm": norm})
 
     def best(self, count: int) -> Self:
         """At most `count` features of the highest score, best first, ties in the order given."""
@@ -176,3 +199,13 @@ class Features(ReadOnlyArrays, Shown):
             Frames of another shape than (1, N, 2, 3) or (N, 2, 3).
         """
         return cls(**kornia_lafs.from_lafs(lafs, score, descriptors))
+
+
+def _descriptors(given: Any, rows: int, norm: str) -> NDArray[Any]:
+    """The descriptors as they are kept, or an `InputError`."""
+    wanted = np.float32 if norm == "l2" else np.uint8
+    if not isinstance(given, np.ndarray):
+        raise InputError(f"descriptors must be ({rows}, D) {np.dtype(wanted)}, got {type(given).__name__}")
+    if given.ndim != 2 or len(given) != rows or given.dtype != wanted:
+        raise InputError(f"descriptors must be ({rows}, D) {np.dtype(wanted)}, got {given.dtype} {given.shape}")
+    return kept(given)

@@ -115,7 +115,15 @@ class Image(ReadOnlyArrays, Shown):
 
     @property
     def all_valid(self) -> bool:
-        return bool(self.derive(_all_valid))
+        return self.valid_count == self.mask.size
+
+    @property
+    def valid_count(self) -> int:
+        """How many pixels are valid; counted once."""
+        known: int | None = self.__dict__.get("_valid")
+        if known is None:
+            self.__dict__["_valid"] = known = int(np.count_nonzero(self.mask))
+        return known
 
     @property
     def amplitude(self) -> NDArray[np.float32]:
@@ -135,7 +143,7 @@ class Image(ReadOnlyArrays, Shown):
         self._derived.clear()
 
     def __getstate__(self) -> dict[str, Any]:
-        return {k: v for k, v in self.__dict__.items() if k != "_derived"}
+        return {k: v for k, v in self.__dict__.items() if k not in ("_derived", "_valid")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         super().__setstate__(state)
@@ -144,7 +152,3 @@ class Image(ReadOnlyArrays, Shown):
 
 def _amplitude(image: Image) -> NDArray[np.float32]:
     return np.abs(image.pixels)
-
-
-def _all_valid(image: Image) -> bool:
-    return bool(image.mask.all())

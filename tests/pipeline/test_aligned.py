@@ -13,6 +13,7 @@ from featreg.interfaces import Model
 from featreg.pipeline import aligned
 from featreg.pipeline.aligned import WholeWindows
 from featreg.runtime.threads import limited_threads
+from featreg.sar.correlation import Peaks
 from featreg.types import BoolArray, FloatArray, Image
 
 #: A map that turns, shifts and widens a little, and one that bends as well.
@@ -123,3 +124,20 @@ def test_a_window_of_which_a_model_knows_nothing_leaves_the_others_as_they_are()
     whole = WholeWindows(Image(np.ones(mask.shape, np.float32), np.ones_like(mask)), secondary, model, 20)
     found = whole.in_secondary(np.array([[30, 60], [100, 60], [160, 60]]))
     assert found.tolist() == [False, False, True]
+
+
+def test_covariances_and_lengths_are_those_of_matrices() -> None:
+    rng = np.random.default_rng(5)
+    root = rng.normal(size=(50, 2, 2))
+    curvature = root @ root.swapaxes(1, 2) + 0.1 * np.eye(2)
+    found = Peaks(np.zeros((50, 2)), rng.uniform(0.3, 1.0, 50), curvature, np.ones(50, np.bool_))
+    xy = rng.uniform(0, 300, (50, 2))
+    for model in (AFFINE, BENT):
+        linear = aligned.linear_parts(model, xy)
+        wanted = (1 - found.height**2)[:, None, None] * (linear @ np.linalg.inv(curvature) @ linear.swapaxes(1, 2))
+        covariance = aligned.peak_covariance(found, model, xy)
+        np.testing.assert_allclose(covariance, wanted, rtol=1e-9)
+    away = rng.normal(size=(50, 2))
+    squared = np.einsum("ni,nij,nj->n", away, np.linalg.inv(wanted), away)
+    assert aligned.variance_factor(away, covariance) == pytest.approx(np.median(squared) / (2 * np.log(2)), rel=1e-9)
+    assert np.isnan(aligned.variance_factor(away, 0 * covariance))

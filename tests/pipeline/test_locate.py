@@ -210,3 +210,15 @@ def test_a_result_keeps_it_in_its_file(pair: SimulatedPair, tmp_path: Path) -> N
 )
 def test_the_first_of_equal_points_stands_for_all(xy: list[tuple[float, float]], rows: list[int]) -> None:
     assert _distinct_rows(np.array(xy, np.float64).reshape(-1, 2)).tolist() == rows
+
+
+def test_what_can_be_measured_under_an_affine_map_is_what_any_map_says() -> None:
+    rng = np.random.default_rng(4)
+    model = Affine(np.array([[1.02, -0.03, 9.3], [0.03, 0.99, -4.6]]))
+    xy = rng.uniform(-20, 220, (400, 2))
+    matches = Matches(xy, model(xy) + rng.uniform(-16, 16, xy.shape), np.ones(400))
+    image, rows = as_image(rng.random((190, 210), np.float32)), np.sort(rng.permutation(400)[:300])
+    wanted = Locate()._near(image, model, matches, rows)
+    assert 30 < len(wanted[2]) < 290
+    for one, other in zip(Locate()._near_affine(image, model.matrix[:2], matches, rows), wanted, strict=True):
+        np.testing.assert_array_equal(one, other)

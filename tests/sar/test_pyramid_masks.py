@@ -21,12 +21,14 @@ def test_whole_squares_are_those_of_an_erosion(shape: tuple[int, int], outside: 
 
 
 @pytest.mark.parametrize("factor", [1.2, 1.3, 2.0])
-@pytest.mark.parametrize("masked", [False, True])
-def test_levels_are_those_of_linear_interpolation(masked: bool, factor: float) -> None:
+@pytest.mark.parametrize("missing", ["", "holes", "border", "border and holes"])
+def test_levels_are_those_of_linear_interpolation(missing: str, factor: float) -> None:
     """A pixel is data where none of the four between which it lies is missing."""
     rng = np.random.default_rng(0)
     pixels = rng.gamma(1.0, 1.0, (151, 203)).astype(np.float32)
-    mask = rng.random(pixels.shape) >= (0.05 if masked else 0.0)
+    mask = rng.random(pixels.shape) >= (0.05 if "holes" in missing else 0.0)
+    if "border" in missing:
+        mask &= np.add.outer(np.arange(151), 2 * np.arange(203)) % 500 > 40
     first, second = pyramid(Image(pixels * mask, mask), 2, factor)
     height, width = second.shape
     wanted = cv2.resize(first.amplitude, (width, height), interpolation=cv2.INTER_LINEAR)
@@ -37,5 +39,5 @@ def test_levels_are_those_of_linear_interpolation(masked: bool, factor: float) -
     good = mask[np.ix_(low_y, low_x)] & mask[np.ix_(low_y + 1, low_x)]
     good &= mask[np.ix_(low_y, low_x + 1)] & mask[np.ix_(low_y + 1, low_x + 1)]
     np.testing.assert_array_equal(second.mask, good)
-    assert good.all() == (not masked)
+    assert good.all() == (not missing)
     np.testing.assert_allclose(second.amplitude, wanted * good, rtol=1e-5, atol=1e-6)

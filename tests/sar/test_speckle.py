@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import cv2
 import numpy as np
@@ -65,7 +66,7 @@ def test_bytes_around_points_are_those_of_the_whole_view(shape: tuple[int, int])
     corner = np.array(shape[::-1]) - 1
     points = np.array([[0, 0], corner, corner // 2])
     for some in (points[:0], points[:1], points, np.repeat(points, 99, axis=0)):
-        found = despeckled_bytes_around(image, some, 9)
+        found = despeckled_bytes_around(image, partial(np.asarray, some), len(some), 9)
         for x, y in some.tolist():
             around = np.s_[max(y - 9, 0) : y + 10, max(x - 9, 0) : x + 10]
             np.testing.assert_array_equal(found[around], whole[around])

@@ -27,6 +27,7 @@ from featreg.io.window import Window
 from featreg.results.registration import Registration
 from featreg.simulate.circle import ParkingLot
 from featreg.types import Features, Geolocation, Image, Matches, everywhere, kept, read_only
+from featreg.types.arrays import middle
 from featreg.types.derived import DerivedMaps
 
 CALLS: list[tuple[str, float]] = []
@@ -524,3 +525,31 @@ def test_rows_of_each_kind_are_those_of_indexing() -> None:
     for wrong in (np.array([9]), np.ones(8, np.bool_)):
         with pytest.raises(IndexError):
             features.take(wrong)
+
+
+def test_features_with_another_column_are_checked_as_new_ones_are() -> None:
+    some = Features(np.zeros((3, 2)), np.ones(3), np.zeros(3), np.arange(3.0), np.zeros(3, np.int64))
+    bits = np.zeros((3, 32), np.uint8)
+    described = some.having(angle=1.0, descriptors=bits, norm="hamming", index=[2, 1, 0])
+    np.testing.assert_array_equal(described.angle, np.ones(3))
+    np.testing.assert_array_equal(described.index, [2, 1, 0])
+    assert described.score is some.score
+    assert described.norm == "hamming"
+    assert not described.angle.flags.writeable
+    assert described.having(xy=np.ones((3, 2))).xy.tolist() == [[1, 1]] * 3
+    for wrong in (
+        {"angle": np.nan}, {"angle": np.zeros(4)}, {"score": None}, {"norm": "l1"}, {"norm": "l2"}, {"descriptors": 1},
+        {"xy": np.zeros((2, 2))},
+    ):  # fmt: skip
+        with pytest.raises(InputError):
+            described.having(**wrong)
+    with pytest.raises(TypeError):
+        some.having(colour=1)
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 8])
+def test_the_middle_is_the_median(count: int) -> None:
+    values = np.random.default_rng(count).normal(size=count)
+    assert middle(values) == np.median(values)
+    values[0] = np.nan
+    assert np.isnan(middle(values))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from featreg.runtime.jit import compiled
+from featreg.runtime.jit import compiled, inlined
 from featreg.sar.keypoints.binary_kernels import lowest_byte
 
 U8 = NDArray[np.uint8]
@@ -172,32 +172,60 @@ def intensity_centroid(image: F32 | U8, xs: I64, ys: I64, radius: int, stride: i
 
     Beyond its border the image goes on as its last pixels.
     """
-    height, width = image.shape
+    ends = np.zeros(2 * (radius // stride) + 1, np.int64)
+    _fill_disc(radius, stride, ends)
+    for i in range(xs.shape[0]):
+        angle[i] = _centroid_angle(image, xs[i], ys[i], radius, stride, ends)
+
+
+@compiled
+def _fill_disc(radius: int, stride: int, ends: I64) -> None:
+    """How many steps along x each row of the disc has, from the middle to one end."""
     steps = radius // stride
-    # How many steps along x each row of the disc has, from the middle to one end.
-    ends = np.zeros(2 * steps + 1, np.int64)
     for k in range(ends.shape[0]):
         dy = stride * (k - steps)
         while (stride * (ends[k] + 1)) ** 2 + dy * dy <= radius * radius:
             ends[k] += 1
-    for i in range(xs.shape[0]):
-        x0, y0 = xs[i], ys[i]
-        # Of whole numbers the sums are whole numbers.
-        mx = my = 0 * image[0, 0]
-        inside = x0 >= radius and y0 >= radius and x0 < width - radius and y0 < height - radius
-        for k in range(ends.shape[0]):
-            dy, end = stride * (k - steps), ends[k]
-            row = image[min(max(y0 + dy, 0), height - 1)]
-            total = 0 * image[0, 0]
-            for step in range(-end, end + 1):
-                x = x0 + stride * step
-                if not inside:
-                    x = min(max(x, 0), width - 1)
-                v = row[np.uint64(x)]
-                mx += step * v
-                total += 1 * v
-            my += dy * total
-        angle[i] = np.arctan2(-float(my), float(stride * mx))
+
+
+@inlined
+def _centroid_angle(image: F32 | U8, x0: int, y0: int, radius: int, stride: int, ends: I64) -> float:
+    height, width = image.shape
+    steps = radius // stride
+    # Of whole numbers the sums are whole numbers.
+    mx = my = 0 * image[0, 0]
+    inside = x0 >= radius and y0 >= radius and x0 < width - radius and y0 < height - radius
+    for k in range(ends.shape[0]):
+        dy, end = stride * (k - steps), ends[k]
+        row = image[min(max(y0 + dy, 0), height - 1)]
+        total = 0 * image[0, 0]
+        for step in range(-end, end + 1):
+            x = x0 + stride * step
+            if not inside:
+                x = min(max(x, 0), width - 1)
+            v = row[np.uint64(x)]
+            mx += step * v
+            total += 1 * v
+        my += dy * total
+    return float(np.arctan2(-float(my), float(stride * mx)))
+
+
+@compiled
+def centroids_of_level(
+    level: U8, xy: F64, image_width: int, image_height: int, numbers: I64, number: int, radius: int, stride: int,
+    angle: F64,
+) -> None:  # fmt: skip
+    """As `intensity_centroid`, of those of the points (N, 2) whose `numbers` (N,) is `number`.
+
+    They are in pixels of an image of `image_width` and `image_height`, of which `level` (H, W) is a smaller one.
+    """
+    ends = np.zeros(2 * (radius // stride) + 1, np.int64)
+    _fill_disc(radius, stride, ends)
+    across, down = level.shape[1] / image_width, level.shape[0] / image_height
+    for i in range(xy.shape[0]):
+        if numbers[i] == number:
+            x, y = int(np.rint((xy[i, 0] + 0.5) * across - 0.5)), int(np.rint((xy[i, 1] + 0.5) * down - 0.5))
+            angle[i] = _centroid_angle(level, x, y, radius, stride, ends)
 
 
 @compiled

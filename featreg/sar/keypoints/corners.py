@@ -75,6 +75,25 @@ def orientation(image: NDArray[np.float32] | NDArray[np.uint8], xy: IntArray, ra
     return angle
 
 
+def orient_level(
+    level: NDArray[np.uint8],
+    xy: FloatArray,
+    shape: tuple[int, int],
+    numbers: IntArray,
+    number: int,
+    radius: int,
+    angle: FloatArray,
+) -> None:
+    """Write `orientation` of the pixels of a level (H, W) on which some points fall to their places in `angle` (N,).
+
+    They are those of `xy` (N, 2), in pixels of an image of that shape (H, W), whose `numbers` (N,) is `number`.
+    """
+    from featreg.sar.keypoints import corner_kernels
+
+    height, width = shape
+    corner_kernels.centroids_of_level(level, xy, width, height, numbers, number, radius, 3, angle)
+
+
 def refine_centroid(edges: NDArray[np.uint8], xy: IntArray, sigma: float) -> tuple[FloatArray, BoolArray]:
     """Return (N, 2) sub-pixel positions, the iterated 7 x 7 centroid of the edge strength, and (N,) bool where found.
 
@@ -86,7 +105,7 @@ def refine_centroid(edges: NDArray[np.uint8], xy: IntArray, sigma: float) -> tup
     moved = np.empty((len(xy), 2))
     good = np.empty(len(xy), np.uint8)
     corner_kernels.edge_centroid(edges, xy.astype(np.float64), sigma, CENTROID_ITERATIONS, REACH, moved, good)
-    return moved, good.astype(np.bool_)
+    return moved, good.view(np.bool_)
 
 
 def refine_corner(

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from featreg.sar.keypoints import corner_kernels
-from featreg.sar.keypoints.corners import fast_corners, orientation, refine_centroid, refine_corner
+from featreg.sar.keypoints.corners import fast_corners, orient_level, orientation, refine_centroid, refine_corner
 from featreg.sar.pyramid import share_out
 
 cv2 = pytest.importorskip("cv2")
@@ -296,3 +296,15 @@ def test_finer_levels_get_the_larger_shares() -> None:
     shares = share_out(1000, [1000] * 6, 1.5)
     assert shares == sorted(shares, reverse=True)
     assert shares[0] / shares[1] == pytest.approx(1.5, rel=0.02)
+
+
+def test_directions_of_the_points_of_a_level_are_those_of_their_pixels() -> None:
+    level, rng = smooth_picture(), np.random.default_rng(6)
+    shape = (140, 142)
+    xy, numbers = rng.uniform(0, 139, (60, 2)), rng.integers(0, 3, 60)
+    angle = np.full(60, 9.0)
+    orient_level(level, xy, shape, numbers, 1, 15, angle)
+    own = numbers == 1
+    at = np.rint((xy[own] + 0.5) * 0.5 - 0.5).astype(np.int64)
+    np.testing.assert_array_equal(angle[own], orientation(level, at, 15))
+    assert (angle[~own] == 9.0).all()
