@@ -100,15 +100,15 @@ def _turns(angle: FloatArray) -> NDArray[np.int64]:
 
 @lru_cache(maxsize=8)
 def turned_pattern(bits: int, radius: float, spread: float) -> NDArray[np.int8]:
-    """Return the (72, bits, 4) int8 comparisons (x1, y1, x2, y2) for every turn, counter-clockwise as seen."""
+    """Return the (72, 4, bits) int8 comparisons (x1, x2, y1, y2) for every turn, counter-clockwise as seen."""
     first, second = _halton_disc(bits, radius, spread)
-    table = np.empty((TURNS, bits, 4), np.int8)
+    table = np.empty((TURNS, 4, bits), np.int8)
     for turn in range(TURNS):
         t = 2 * math.pi * turn / TURNS
         # x to the right, y down: counter-clockwise as seen is (cos, sin; -sin, cos).
         matrix = np.array([[math.cos(t), math.sin(t)], [-math.sin(t), math.cos(t)]])
-        table[turn, :, :2] = np.rint(first @ matrix.T)
-        table[turn, :, 2:] = np.rint(second @ matrix.T)
+        table[turn, ::2] = np.rint(first @ matrix.T).T
+        table[turn, 1::2] = np.rint(second @ matrix.T).T
     table.flags.writeable = False
     return table
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from featreg.runtime.jit import compiled, inlined
+from featreg.runtime.jit import compiled, disjoint, inlined
 
 U64 = NDArray[np.uint64]
 I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
+I8 = NDArray[np.int8]
 
 
 @compiled
@@ -21,11 +22,11 @@ def describe_level(
 
     Those of `xy` (N, 2), in pixels of an image of `image_width` and `image_height`, whose `numbers` (N,) is `number`;
     `kept` (N,) becomes 1 where the pixel they fall on is `allowed` (H, W), from which all samples must lie inside.
-    `flat` (H * W,) is the level row by row, `table` (T, B, 4) holds the (x1, y1, x2, y2) offsets of the pairs for each
-    turn, `turns` (N,) the turn of each point.
+    `flat` (H * W,) is the level row by row; `table` (T, 4, B) holds the offsets of the pairs for each turn, x of the
+    first and of the second samples, then y; `turns` (N,) is the turn of each point.
     """
     height, width = allowed.shape
-    count = table.shape[1]
+    count = table.shape[2]
     # Point by point from above, so that what they look at stays in the cache: the last point of each row, then the one
     # of that row before each.
     last, before = np.full(height, -1, np.int64), np.empty(xy.shape[0], np.int64)
@@ -41,7 +42,7 @@ def describe_level(
         at[i] = y * width + x
         before[i] = last[y]
         last[y] = i
-    steps = np.empty((table.shape[0], count, 2), np.int32)
+    steps = np.empty((table.shape[0], 2 * count), np.int32)
     known = np.zeros(table.shape[0], np.bool_)
     for row in range(height):
         point = np.int64(last[row])
@@ -50,20 +51,26 @@ def describe_level(
             own = steps[turn]
             if not known[turn]:
                 known[turn] = True
-                for b in range(count):
-                    for end in range(2):
-                        along, down = table[turn, b, 2 * end], table[turn, b, 2 * end + 1]
-                        own[b, end] = np.int32(along) + np.int32(width) * np.int32(down)
+                _fill_steps(table[turn, 0], table[turn, 1], table[turn, 2], table[turn, 3], width, own)
             middle = np.uint64(at[point])
             for word in range(count // 64):
                 value = np.uint64(0)
                 for b in range(64):
                     k = np.uint64(64 * word + 63 - b)
-                    first = flat[middle + np.uint64(own[k, np.uint64(0)])]
-                    second = flat[middle + np.uint64(own[k, np.uint64(1)])]
+                    first = flat[middle + np.uint64(own[k])]
+                    second = flat[middle + np.uint64(own[k + np.uint64(count)])]
                     value = value + value + np.uint64(first < second)
                 bits[point, word] = value
             point = np.int64(before[point])
+
+
+@disjoint
+def _fill_steps(x1: I8, x2: I8, y1: I8, y2: I8, width: int, steps: NDArray[np.int32]) -> None:
+    """How far each sample of B pairs lies behind the middle in a level of so many columns: B first ones, B second."""
+    wide, count = np.int32(width), np.uint64(x1.shape[0])
+    for b in range(count):
+        steps[b] = np.int32(x1[b]) + wide * np.int32(y1[b])
+        steps[b + count] = np.int32(x2[b]) + wide * np.int32(y2[b])
 
 
 @inlined
