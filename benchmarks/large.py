@@ -3,15 +3,22 @@
     python benchmarks/large.py [--sides 600,4000] [--methods sar-orb,sar-sift] [--features 2000] [--threads 2]
                                [--rounds 3] [--seed 0]
 
-CPU time of the process over that of ORB's pair in the same round, on one thread, and how many times sooner two threads
-have the result, by wall time: that column says something on an idle machine only, for which the load is printed.
+CPU time of the process over that of ORB's pair in the same round, on one thread; how many times sooner two threads
+have the result, by wall time; and how many times as much two processes get done that do the same on one thread each,
+by what one loses while the other runs: what processors share, memory first of all, lets no program on two of them do
+better by much. The last two columns say something on an idle machine only, for which the load is printed.
 """
 
 from __future__ import annotations
 
 import argparse
+import multiprocessing
 import os
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import cv2
@@ -23,7 +30,8 @@ import featreg
 from featreg.simulate import SimulatedPair, sar_pair
 
 COLUMNS = (
-    "side", "method", "CPU over ORB's (quartiles)", "ns a pixel", "times sooner", "status", "grid RMSE px",
+    "side", "method", "CPU over ORB's (quartiles)", "ns a pixel", "times sooner (quartiles)", "two processes",
+    "status", "grid RMSE px",
 )  # fmt: skip
 
 
@@ -47,37 +55,103 @@ def matched(pair: SimulatedPair, method: str, given: argparse.Namespace, threads
     )  # fmt: skip
 
 
+class Neighbour:
+    """Another process that does the same on one thread, again and again, while it is asked to."""
+
+    def __init__(self, pair: SimulatedPair, method: str, given: argparse.Namespace, folder: str) -> None:
+        context = multiprocessing.get_context("spawn")
+        self.busy, self.idle, self.over = context.Event(), context.Event(), context.Event()
+        paths = [str(Path(folder, f"{name}.npy")) for name in ("reference", "secondary")]
+        for path, image in zip(paths, (pair.reference, pair.secondary), strict=True):
+            np.save(path, image)
+        parts = paths, method, given, self.busy, self.idle, self.over
+        self.process = context.Process(target=_busy, args=parts, daemon=True)
+        self.process.start()
+        self.idle.wait()
+
+    @contextmanager
+    def beside(self) -> Iterator[None]:
+        """It is at work inside, and rests afterwards."""
+        self.idle.clear()
+        self.busy.set()
+        time.sleep(0.05)
+        try:
+            yield
+        finally:
+            self.busy.clear()
+            self.idle.wait()
+
+    def end(self) -> None:
+        self.over.set()
+        self.busy.set()
+        self.process.join()
+
+
+def _busy(paths: list[str], method: str, given: argparse.Namespace, busy: Any, idle: Any, over: Any) -> None:
+    on_one_thread(pinned=False)
+    reference, secondary = (np.load(path) for path in paths)
+    while not over.is_set():
+        featreg.match(
+            reference, secondary, method=method, model="affine", n_features=given.features, seed=given.seed,
+            block=False, threads=1,
+        )  # fmt: skip
+        if not busy.is_set():
+            idle.set()
+            busy.wait()
+
+
+def shares(pair: SimulatedPair, method: str, given: argparse.Namespace) -> tuple[list[float], list[float]]:
+    """In each round, how many times sooner threads have the result, and how much more two processes get done."""
+    sooner, ceiling = [], []
+
+    def wall(threads: int) -> float:
+        start = time.perf_counter()
+        matched(pair, method, given, threads)
+        return time.perf_counter() - start
+
+    with TemporaryDirectory() as folder:
+        neighbour = Neighbour(pair, method, given, folder)
+        for turn in range(given.rounds + 1):
+            alone, together = wall(1), wall(given.threads)
+            with neighbour.beside():
+                beside = wall(1)
+            if turn:
+                sooner.append(alone / together)
+                ceiling.append(2 * alone / beside)
+        neighbour.end()
+    return sooner, ceiling
+
+
+def quartiles(values: list[float]) -> str:
+    if not values:
+        return "-"
+    low, middle, high = np.percentile(values, [25, 50, 75])
+    return f"{middle:.2f} ({low:.2f} to {high:.2f})"
+
+
 def rows_of(side: int, given: argparse.Namespace) -> list[list[Any]]:
     pair = sar_pair((side, side), rotation_deg=6.0, scale=1.02, shift=(5.0, 3.0), seed=given.seed)
     small = eight_bits(pair.reference), eight_bits(pair.secondary)
     methods = given.methods.split(",")
-    one: dict[str, list[tuple[float, float]]] = {name: [] for name in ("ORB", *methods)}
-    two: dict[str, list[float]] = {name: [] for name in methods}
+    one: dict[str, list[float]] = {name: [] for name in ("ORB", *methods)}
     results: dict[str, featreg.Registration] = {}
     for turn in range(given.rounds + 1):
         for name, samples in one.items():
-            wall, start = time.perf_counter(), time.process_time()
+            start = time.process_time()
             if name == "ORB":
                 orb(small, given.features)
             else:
                 results[name] = matched(pair, name, given, 1)
-            spent = time.process_time() - start, time.perf_counter() - wall
-            if name != "ORB" and given.threads > 1:
-                wall = time.perf_counter()
-                matched(pair, name, given, given.threads)
-                wall = spent[1] / (time.perf_counter() - wall)
-                two[name] += [wall] if turn else []
-            samples += [spent] if turn else []
+            samples += [time.process_time() - start] if turn else []
     found = []
     for name in methods:
-        ratio = [mine / theirs for (mine, _), (theirs, _) in zip(one[name], one["ORB"], strict=True)]
-        low, middle, high = np.percentile(ratio, [25, 50, 75])
-        per_pixel = 1e9 * float(np.median([cpu for cpu, _ in one[name]])) / side**2
-        sooner = f"{float(np.median(two[name])):.2f}" if two[name] else "-"
+        ratio = [mine / theirs for mine, theirs in zip(one[name], one["ORB"], strict=True)]
+        per_pixel = 1e9 * float(np.median(one[name])) / side**2
+        sooner, ceiling = shares(pair, name, given) if given.threads > 1 else ([], [])
         registration = results[name]
         rmse = float(featreg.evaluate(registration, pair.truth).grid_rmse)
-        spread = f"{middle:.2f} ({low:.2f} to {high:.2f})"
-        found.append([side, name, spread, per_pixel, sooner, registration.status, rmse])
+        columns = quartiles(ratio), per_pixel, quartiles(sooner), quartiles(ceiling)
+        found.append([side, name, *columns, registration.status, rmse])
     return found
 
 
@@ -86,7 +160,7 @@ def main() -> None:
     parser.add_argument("--sides", default="600,4000")
     parser.add_argument("--methods", default="sar-orb,sar-sift")
     parser.add_argument("--features", type=int, default=2000)
-    parser.add_argument("--threads", type=int, default=2, help="of the column of wall times; 1 leaves it out")
+    parser.add_argument("--threads", type=int, default=2, help="of the columns of wall times; 1 leaves them out")
     parser.add_argument("--rounds", type=round_count, default=3)
     parser.add_argument("--seed", type=int, default=0, help="of the images and of the methods")
     given = parser.parse_args()
