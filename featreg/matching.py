@@ -126,8 +126,8 @@ def match(
         below, never changes the result
     scheduler : address of a dask scheduler that runs the blocks, in place of `executor`
     threads : most threads on whole images, in place of `workers`, and no more than there are processors. They share
-        out rows of the images and windows around points where there is a tenth of a millisecond of work for each, so
-        that below about 500 x 500 px they change nothing. A worker uses one
+        out rows of the images and windows around points where there is work for each, or look at an image each; at
+        600 x 600 px that gains little or nothing. A worker uses one
     resume : folder in which finished blocks are kept, and looked for; of whole images nothing is kept
     progress : called with (blocks done, blocks in all), of whole images with (steps done, steps in all)
     cancel : an event; when set, the work stops between blocks or stages with a `CancelledError`

@@ -257,9 +257,11 @@ class Agreement:
             here, there, step, side = smaller(here, 2), smaller(there, 2), 2 * step, side // 2
         # OpenCV's transform takes two thirds of the time of numpy's.
         shape = tuple(fast_length(n + n // 2) for n in here.shape)
-        a, b = side_by_side([partial(_spectrum, view, shape) for view in (here, there)])
+        a, b = side_by_side([partial(_spectrum, view, shape) for view in (here, there)], 4 * here.size)
         norm = float(np.sqrt(np.vdot(here, here) * np.vdot(there, there))) + 1e-30
-        straight, turned_over = side_by_side([partial(_product, b, a, True), partial(_product, a, b, False)])
+        straight, turned_over = side_by_side(
+            [partial(_product, b, a, True), partial(_product, a, b, False)], 4 * here.size
+        )
         turned = cv2.minMaxLoc(turned_over)[1] / norm
         model = -math.inf
         for rows in (slice(0, side + 1), slice(-side, None)):

@@ -142,7 +142,7 @@ def agreement_gates(
         return agreement.elsewhere if agreement.windows.at_model.max() >= SAME_OBJECT else None
 
     # Both are kept with the agreement.
-    side_by_side([lambda: agreement.whole, elsewhere_if_near])
+    side_by_side([lambda: agreement.whole, elsewhere_if_near], 8 * agreement.here.size)
     (whole, other, shift, turned), windows, elsewhere = agreement.whole, agreement.windows, elsewhere_if_near()
     if elsewhere is not None:
         gates["scene"] = Gate(

@@ -146,7 +146,9 @@ class Pipeline:
                 if identical is not None:
                     reference, secondary = without_identical(reference, secondary, identical)
             with stage("read"):
-                reference, secondary = side_by_side([partial(bridged, reference), partial(bridged, secondary)])
+                reference, secondary = side_by_side(
+                    [partial(bridged, reference), partial(bridged, secondary)], reference.mask.size // 8
+                )
             if initial is None or search_radius is None:
                 matches = matcher.match(reference, secondary)
             else:

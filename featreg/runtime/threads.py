@@ -20,9 +20,9 @@ T = TypeVar("T")
 
 #: The threads that were asked for around; None where nobody asked for more than one.
 _team: ContextVar[_Team | None] = ContextVar("featreg_threads", default=None)
-#: Parts for each thread: what one is late by, the others make up for. Fewest pixels of one: about 0.1 ms, where a
-#: thread that waits begins after 0.02 ms.
-PARTS, LEAST = 4, 1 << 17
+#: Parts for each thread: what one is late by, the others make up for. Fewest pixels of one: about 0.2 ms, where a
+#: thread that waits begins after 0.02 ms on an idle machine, and later on a busy one.
+PARTS, LEAST = 4, 1 << 18
 
 #: Read by the numeric libraries when they are first imported.
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
@@ -100,14 +100,15 @@ def limited_threads(count: int | None, algebra: int | None = None) -> Iterator[N
             team.dismiss()
 
 
-def side_by_side(work: Sequence[Callable[[], T]]) -> list[T]:
+def side_by_side(work: Sequence[Callable[[], T]], size: int = LEAST) -> list[T]:
     """Run functions that do not touch each other's things, and return what they return, in order.
 
     They run at the same time where `limited_threads` around allows more than one thread; one after the other where
-    nobody asked for more, and inside of one of them. The results are the same.
+    nobody asked for more, inside of one of them, and where each takes no longer than a light pass over `size` pixels,
+    fewer than `LEAST`. The results are the same.
     """
     team = _team.get()
-    if team is None or len(work) < 2:
+    if team is None or len(work) < 2 or size < LEAST:
         return [function() for function in work]
     return team.run(work)
 

@@ -77,6 +77,7 @@ def test_work_runs_side_by_side_only_where_threads_were_asked_for(monkeypatch: p
         end_helpers()
         assert threading.active_count() == before
         assert side_by_side([int, str]) == [0, ""]
+        assert len({*side_by_side([later] * 9, threads.LEAST - 1)}) == 1
     assert threading.active_count() == before
 
 
