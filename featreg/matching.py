@@ -38,7 +38,7 @@ from featreg.runtime.threads import limited_threads, side_by_side, worker_count
 from featreg.runtime.timing import collecting, stage
 from featreg.runtime.watching import Canceller, Progress, cancellable, check_watch
 from featreg.sar.bridging import bridged, on_sample
-from featreg.scene.blocks import BLOCK, SPLITS
+from featreg.scene.blocks import SPLITS
 from featreg.types import FloatArray, Image
 
 if TYPE_CHECKING:
@@ -46,6 +46,8 @@ if TYPE_CHECKING:
 
 #: Images of more pixels are worked on in blocks.
 MOST_PIXELS = 4_000_000
+#: In blocks, of a side that suits the scene.
+SUITABLE = -1
 #: What may be said of the geolocation as prior, and how far, px, around the model of an earlier result is searched.
 PRIORS, PRIOR_PX = ("none", "geolocation"), 35.0
 
@@ -112,9 +114,10 @@ def match(
     reference_band, secondary_band : of either file, in place of `band`
     focus : autofocus of complex images first: a method of `featreg.focus`, or a function from an `Image` to its result,
         which may know the azimuth axis or a carrier; an image whose focus is not trusted stays as it is
-    block : side in pixels of the blocks in which to work, False for the whole images at once; None works in blocks of
-        600 where an image has more than 4 million pixels, or where `dem`, `height` or the model asks for it (see
-        docs/scenes.md). Then `n_features` is the budget of a block (default 1000)
+    block : side in pixels of the blocks in which to work, False for the whole images at once, True for blocks of 600 to
+        1000 px, as suits the scene; None works in such where an image has more than 4 million pixels, or where `dem`,
+        `height` or the model asks for it (see docs/scenes.md). Then `n_features` is the budget of a block (default
+        1000)
     dem, height : heights of the ground for images with geolocation: an elevation model's file, or metres above the
         ellipsoid (default: the height offset of an RPC, else 0); in blocks only
     split : how the secondary is divided in blocks: "prior" (default) searches each block where the prior puts it, with
@@ -189,20 +192,20 @@ def match(
                 "focus works on whole images, not on blocks: focus the files first (featreg focus IN -o OUT), or ask "
                 "for the whole images at once (block=False, --whole)"
             )
-        from featreg.scene.first_prior import overviews
         from featreg.scene.run import SceneOptions, match_scene
+        from featreg.scene.samples import sampled
 
         here, there = (open_source(i, mask=m, band=b, **reading) for i, m, b in zip(given, masks, bands, strict=True))
         pipelines = assemble_all(method, blocks=True, **parts)
         with dask_client(scheduler, executor) as runner:
             options = SceneOptions(
-                size or BLOCK, runner, workers, dem, height, resume, progress, cancel, prior, split or SPLITS[0]
+                _side(size), runner, workers, dem, height, resume, progress, cancel, prior, split or SPLITS[0]
             )  # fmt: skip
             return registered(
                 method,
                 pipelines,
                 lambda pipeline: match_scene(here, there, pipeline, options, **search),
-                lambda: overviews(here, there),
+                lambda: (sampled(here), sampled(there)),
             )
     if prior == "geolocation":
         from featreg.geolocation import sensor_of
@@ -240,17 +243,29 @@ def keypoints_of(
     calibrate: str | None = None,
     band: BandLike = None,
     focus: Focus | None = None,
+    block: int | bool | None = None,
     **keywords: Any,
 ) -> FloatArray | None:
     """(N, 2) keypoints that a method looks at in an image, at most its budget; None where it has no detector.
 
-    `mask` and `band` are those of this image; the other keywords are those of `match` that build the pipeline.
+    `mask` and `band` are those of this image; the other keywords are those of `match` that build the pipeline. An image
+    that is so large that it is worked on in blocks, or for which blocks are asked, is looked at block by block.
     """
-    pipelines = assemble_all(**keywords, blocks=None)
+    size = block_side(block, None, None, None)
+    reading: Any = {"nodata": nodata, "scale": scale, "calibrate": calibrate, "mask": mask, "band": band}
+    whole: Image | None
+    if focus is not None:
+        whole = as_image(image, **reading)
+    else:
+        whole = None if size else small_image(image, MOST_PIXELS if size is None else math.inf, **reading)
+    pipelines = assemble_all(**keywords, blocks=whole is None or None)
     matcher = pipelines[0].matcher
     if len(pipelines) > 1 or not isinstance(matcher, FeatureMatcher):
         return None
-    whole = as_image(image, mask=mask, nodata=nodata, scale=scale, calibrate=calibrate, band=band)
+    if whole is None:
+        from featreg.scene.keypoints import scene_keypoints
+
+        return scene_keypoints(open_source(image, **reading), pipelines[0], _side(size))
     if focus is not None and whole.is_complex:
         from featreg.focusing.inputs import focused_input
 
@@ -287,7 +302,9 @@ def _check_running(*, workers: Any, threads: Any, executor: Any, progress: Any, 
 
 
 def block_side(block: Any, dem: Any, height: Any, model: Any, split: Any = None) -> int | None:
-    """Side of the blocks in which to work, 0 for the whole images at once, None where their size decides."""
+    """Side of the blocks in which to work, `SUITABLE` where that is left to the scene, 0 for the whole images at once,
+    None where their size decides.
+    """
     if split is not None and split not in SPLITS:
         raise ParameterError(f"split must be 'prior' or 'proportional', got {split!r:.60}")
     asked = [name for name, value in (("dem", dem), ("height", height), ("split", split)) if value is not None]
@@ -297,12 +314,17 @@ def block_side(block: Any, dem: Any, height: Any, model: Any, split: Any = None)
             raise ParameterError(f"block=False works on the whole images, {', '.join(asked)} is for blocks")
         return 0
     if block is None:
-        return BLOCK if asked else None
+        return SUITABLE if asked else None
     if block is True:
-        return BLOCK
+        return SUITABLE
     if not isinstance(block, int | np.integer) or block < 1:
         raise ParameterError(f"block must be a whole number of pixels >= 1 or False, got {block!r}")
     return int(block)
+
+
+def _side(size: int | None) -> int | None:
+    """The side that was asked for, or None."""
+    return None if size == SUITABLE else size
 
 
 def _prior(prior: Any, initial: Any, search_radius: float | None) -> tuple[str | None, Any, float | None]:

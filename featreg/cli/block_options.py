@@ -75,7 +75,7 @@ class SceneOptions:
             parser=whole_number(1),
             metavar="PX",
             help="Work in blocks of about this many pixels a side.",
-            show_default="600 for images of more than 4 million pixels",
+            show_default="600 to 1000 for images of more than 4 million pixels",
         ),
     ] = None
     whole: Annotated[bool, typer.Option("--whole", help="Work on the whole images at once, whatever their size.")] = (

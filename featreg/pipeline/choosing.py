@@ -27,7 +27,7 @@ def registered(
     method : its name
     pipelines : `featreg.pipeline.assembly.assemble_all` of it
     attempt : registers the images by one of them
-    views : the images, or overviews of them that are reduced alike
+    views : the images, or squares of them at their full resolution
     """
     if len(pipelines) == 1:
         return attempt(pipelines[0])
@@ -45,7 +45,7 @@ def in_order(
     Parameters
     ----------
     pipelines : in the order for images of one kind
-    reference, secondary : the images, or overviews of them that are reduced alike
+    reference, secondary : the images, or squares of them at their full resolution
 
     Returns
     -------

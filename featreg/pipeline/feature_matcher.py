@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 
 from featreg.errors import ParameterError
-from featreg.interfaces import Descriptor, Detector, Matcher, Nearest, Plugin
+from featreg.geometry.base import decompose
+from featreg.interfaces import Descriptor, Detector, Matcher, Model, Nearest, Plugin
+from featreg.pipeline.aligned import linear_parts
 from featreg.runtime.buffers import keeping
 from featreg.runtime.threads import side_by_side
 from featreg.runtime.timing import stage
@@ -25,6 +27,9 @@ VOTERS = 500
 BINS = 72
 SMOOTHING = 2
 SIGNIFICANCE = 6.0
+# How far, in radians, a known rotation may be off: descriptors bear it. So many features tell whether they have
+# directions.
+TURNED, SOME = math.radians(5), 8
 # Images are reduced to no less than the first share of their side, and not at all where the second would do.
 LEAST_SHARE, WORTH = 0.5, 0.85
 # The shorter side of a reduced image, px: in less there is hardly a place whose surroundings lie inside of it.
@@ -76,12 +81,19 @@ class FeatureMatcher(Matcher):
         return tuple(part for part in found if part is not None)
 
     def match(self, reference: Image, secondary: Image) -> Matches:
+        return self._found(reference, secondary, None)
+
+    def match_near(self, reference: Image, secondary: Image, initial: Model, radius: float) -> Matches:
+        """As `match`; the rotation is that of `initial` where that tells it to a few degrees, and nothing votes."""
+        return self._found(reference, secondary, known_rotation(initial, reference.shape, radius))
+
+    def _found(self, reference: Image, secondary: Image, rotation: float | None) -> Matches:
         share = self._share(reference, secondary)
         if share == 1:
-            return self._matched(reference, secondary)
+            return self._matched(reference, secondary, rotation)
         with stage("detect"):
             one, two = (_reduced(image, share) for image in (reference, secondary))
-        found = self._matched(one, two)
+        found = self._matched(one, two, rotation)
         first, second = to_base(found.reference_xy, one, reference), to_base(found.secondary_xy, two, secondary)
         return replace(found, reference_xy=first, secondary_xy=second)
 
@@ -99,14 +111,14 @@ class FeatureMatcher(Matcher):
         share = max(LEAST_SHARE, LEAST_SIDE / min(min(image.shape) for image in images), math.sqrt(wanted / pixels))
         return share if share < WORTH else 1.0
 
-    def _matched(self, reference: Image, secondary: Image) -> Matches:
+    def _matched(self, reference: Image, secondary: Image, known: float | None) -> Matches:
         with stage("detect"), keeping():
             detector = self.detector.for_pair(reference, secondary)
             found = self._each(self._detect, [(detector, reference), (detector, secondary)], detector)
         if not len(found[0]) or not len(found[1]):
             return Matches.empty()
         images = (reference, secondary)
-        rotation = self._vote(detector, images, found)
+        rotation = self._rotation(detector, images, found, known)
         with stage("detect"):
             if rotation is None:
                 found = self._each(detector.oriented, list(zip(images, found, strict=True)), detector)
@@ -150,10 +162,21 @@ class FeatureMatcher(Matcher):
         apart = all(one.compiled for one in self.parts) and not (part is not None and part.shares_rows)
         return side_by_side(work) if apart else [one() for one in work]
 
-    def _vote(self, detector: Detector, images: tuple[Image, Image], found: list[Features]) -> float | None:
+    def _rotation(
+        self, detector: Detector, images: tuple[Image, Image], found: list[Features], known: float | None
+    ) -> float | None:
+        """By how much the secondary is turned, or None where each feature keeps its own direction."""
         described = self.descriptor is None and any(features.descriptors is not None for features in found)
         if not self.common_rotation or described:
             return None
+        if known is None:
+            return self._vote(detector, images, found)
+        with stage("detect"):
+            few = detector.oriented(images[0], found[0].best(SOME))
+        # Features without directions of their own are described upright, however the images are turned.
+        return None if (few.angle == few.angle[0]).all() else known
+
+    def _vote(self, detector: Detector, images: tuple[Image, Image], found: list[Features]) -> float | None:
         with stage("detect"):
             voters = [(image, f.best(VOTERS)) for image, f in zip(images, found, strict=True)]
             voters = list(zip(images, self._each(detector.oriented, voters, detector), strict=True))
@@ -164,6 +187,17 @@ class FeatureMatcher(Matcher):
         with stage("rotation"):
             pairs, _ = self.nearest.match_features(first, second)
             return common_rotation(second.angle[pairs[:, 1]] - first.angle[pairs[:, 0]])
+
+
+def known_rotation(initial: Model, shape: tuple[int, int], radius: float) -> float | None:
+    """Return the angle in radians by which a model turns the middle of an image, counter-clockwise as seen.
+
+    None where points that lie up to `radius` px off the model leave it open by more than a few degrees.
+    """
+    if 2 * radius > math.tan(TURNED) * min(shape):
+        return None
+    rotation = decompose(linear_parts(initial, np.array([[shape[1] - 1, shape[0] - 1]]) / 2)[0]).rotation_deg
+    return math.radians(rotation) if math.isfinite(rotation) else None
 
 
 def _reduced(image: Image, share: float) -> Image:

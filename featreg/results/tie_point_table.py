@@ -98,14 +98,27 @@ def parquet_of(columns: Mapping[str, NDArray[Any]]) -> bytes:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    arrays = {
-        name: pa.array(values, mask=~np.isfinite(values) if values.dtype.kind == "f" else None)
-        for name, values in columns.items()
-    }
     sink = pa.BufferOutputStream()
-    pq.write_table(pa.table(arrays), sink, compression="zstd")
+    table = pa.Table.from_arrays([_arrow_column(values) for values in columns.values()], names=list(columns))
+    pq.write_table(table, sink, compression="zstd")
     content: bytes = sink.getvalue().to_pybytes()
     return content
+
+
+def _arrow_column(values: NDArray[Any]) -> Any:
+    """A column of numbers or truth values as Arrow holds it, over the same memory where it can.
+
+    Arrow's own conversion imports pandas where it is installed, half a second for nothing.
+    """
+    import pyarrow as pa
+
+    def bits(good: NDArray[Any]) -> Any:
+        return pa.py_buffer(np.packbits(good, bitorder="little"))
+
+    finite = np.isfinite(values) if values.dtype.kind == "f" else None
+    known = None if finite is None or finite.all() else bits(finite)
+    held = bits(values) if values.dtype.kind == "b" else pa.py_buffer(np.ascontiguousarray(values))
+    return pa.Array.from_buffers(pa.from_numpy_dtype(values.dtype), len(values), [known, held])
 
 
 def no_columns(table: Mapping[str, Any]) -> dict[str, NDArray[np.float64]]:

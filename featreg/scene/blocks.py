@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -12,12 +12,16 @@ from featreg.errors import ParameterError
 from featreg.interfaces import Matcher
 from featreg.io.window import Window
 from featreg.pipeline.locate import Locate
+from featreg.pipeline.pipeline import Pipeline
 from featreg.pipeline.refine import Refine
 
 #: Side of a block in pixels, as in the SAR-ORB paper (section 2.2).
 BLOCK = 600
 #: How the secondary is divided: where the prior puts each block, or into equal parts as in section 2.2 of that paper.
 SPLITS = ("prior", "proportional")
+#: Pixels read for each of a block that its halo may cost, fewest blocks along each axis of a square scene that larger
+#: ones than `BLOCK` must leave, and the largest side, which bounds the memory of a worker.
+READ_TWICE, ALONG, LARGEST = 1.27, 5, 1200
 #: Smallest side: below it the halo is most of what is read.
 SMALLEST = 128
 #: The halo is a multiple of this, so that the levels of a pyramid begin alike.
@@ -40,6 +44,19 @@ def halo_of(matcher: Matcher, *measures: Locate | Refine | None) -> int:
     if not math.isfinite(reach) or reach < 0:
         raise ParameterError(f"{type(matcher).__name__}.reach must be a number of pixels >= 0, got {matcher.reach!r}")
     return WHOLE * math.ceil(reach / WHOLE)
+
+
+def suitable_side(area: Window, pipeline: Pipeline, split: str = SPLITS[0]) -> int:
+    """The side of the blocks of an area, px, that takes least time a pixel while gates and workers have blocks enough.
+
+    Where nothing is refined, the matches of the blocks are the tie points, so many a block, and the block is the small
+    one; so it is where the scenes are divided as the paper does it.
+    """
+    if pipeline.matcher is None or pipeline.refine is None or split == "proportional":
+        return BLOCK
+    halo = halo_of(pipeline.matcher, pipeline.locate, pipeline.refine)
+    cheap = 2 * halo / (math.sqrt(READ_TWICE) - 1)
+    return round(min(max(BLOCK, min(cheap, math.sqrt(area.size) / ALONG)), LARGEST))
 
 
 def plan_blocks(area: Window, size: int = BLOCK) -> tuple[Block, ...]:
@@ -67,6 +84,14 @@ def proportional_part(part: Window, area: Window, other: Window) -> Window:
     left, right = (other.x + round((x - area.x) * across) for x in (part.x, part.x + part.width))
     top, bottom = (other.y + round((y - area.y) * down) for y in (part.y, part.y + part.height))
     return Window(left, top, right - left, bottom - top)
+
+
+def middle_of(block: Block, size: int = BLOCK) -> Block:
+    """The block with at most `size` x `size` pixels about its middle."""
+    window = block.window
+    height, width = (min(size, n) for n in window.shape)
+    x, y = window.x + (window.width - width) // 2, window.y + (window.height - height) // 2
+    return replace(block, window=Window(x, y, width, height))
 
 
 def spread_out(blocks: tuple[Block, ...], count: int) -> tuple[Block, ...]:

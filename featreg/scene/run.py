@@ -30,7 +30,7 @@ from featreg.runtime.parameters import check
 from featreg.runtime.timing import collecting, stage
 from featreg.runtime.versions import versions
 from featreg.runtime.watching import Canceller, Progress, cancellable
-from featreg.scene.blocks import SPLITS, Block, halo_of, plan_blocks, spread_out
+from featreg.scene.blocks import SPLITS, Block, halo_of, middle_of, plan_blocks, spread_out, suitable_side
 from featreg.scene.first_prior import first_prior
 from featreg.scene.merge import Merged, accuracy, block_errors, block_gates, concatenated, fit_refined, merge
 from featreg.scene.prior import Prior, corrected
@@ -55,7 +55,7 @@ class SceneOptions:
 
     Parameters
     ----------
-    block : side of a block, px
+    block : side of a block, px; None is what suits the area of the overlap, see `featreg.scene.blocks.suitable_side`
     executor, workers : see `featreg.runtime.executors.open_executor`
     dem, height : heights of the ground: a file, or metres above the ellipsoid; where neither is given the height offset
         of an RPC, else 0
@@ -66,7 +66,7 @@ class SceneOptions:
     split : "prior" or "proportional", see `featreg.match`
     """
 
-    block: int
+    block: int | None
     executor: Any = None
     workers: int | None = None
     dem: str | Path | None = None
@@ -143,13 +143,14 @@ def match_scene(
             if isinstance(found, Registration):
                 return found
             prior, area = found
-            blocks = plan_blocks(area, options.block)
+            size = options.block or suitable_side(area, pipeline, options.split)
+            blocks = plan_blocks(area, size)
             pipeline = replace(pipeline, n_features=pipeline.n_features * len(blocks))
             job = _job(pipeline, matcher, *shared, seed, executor, len(blocks), initial)
             if options.split == "proportional":
                 job = replace(job, areas=_areas(prior, area, secondary), halo=0)
                 # Each block is compared with a whole part, whatever the prior claims.
-                prior = replace(prior, uncertainty_px=max(prior.uncertainty_px, options.block / 2))
+                prior = replace(prior, uncertainty_px=max(prior.uncertainty_px, size / 2))
             with stage("prior"):
                 prior = prior if job.areas else _piloted(job, prior, blocks, executor, options.cancel, seed)
             with stage("blocks"):
@@ -158,7 +159,7 @@ def match_scene(
                 )
         # The workers are gone, and the columns of the blocks go once they are put together: what is left to do needs
         # the memory more.
-        record = {**counts, "size": options.block, "halo": job.halo}, block_table(blocks, results), seconds_of(results)
+        record = {**counts, "size": size, "halo": job.halo}, block_table(blocks, results), seconds_of(results)
         merged = merge(results, ["prior", *(name for name, _ in job.filters)])
         results.clear()
         with cancellable(options.cancel):
@@ -250,7 +251,7 @@ def _piloted(
     Where these do not agree, the geography of the images is taken to be off by more: they are searched more widely, in
     steps up to a limit, which the prior records where nothing is found either.
     """
-    pilots = spread_out(tuple(blocks), min(PILOTS, max(LEAST_PILOTS, len(blocks) // 8)))
+    pilots = [middle_of(block) for block in spread_out(tuple(blocks), min(PILOTS, max(LEAST_PILOTS, len(blocks) // 8)))]
     first = prior.widened()
     wider = [r for r in SEARCH_PX if r > first.uncertainty_px] if prior.stated else []
     for search in (first, *(replace(prior, uncertainty_px=radius) for radius in wider)):

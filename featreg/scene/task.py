@@ -50,8 +50,11 @@ STRUCTURE = 6.0
 ROUNDING = 1e-10
 #: Tie points of a block that determine its own affine model, and those that determine a shift.
 LEAST_AFFINE, LEAST_SHIFT = 24, 6
-#: Refined tie points of a block.
-REFINED = 64
+#: In standard deviations of located tie points (the Mahalanobis distance), the farthest that a corner of the window may
+#: lie from their middle: 2.5 where they lie all over it, 5.5 where they fill half of it, 7.4 where they fill a quarter.
+FAR = 6.0
+#: Refined tie points of a block of up to 600 x 600 pixels, and pixels for each of a larger one.
+REFINED, PIXELS_PER_REFINED = 64, 600 * 600 // 64
 
 logger = logging.getLogger(__name__)
 
@@ -201,11 +204,12 @@ def _matched(job: Job, prior: Prior, block: Block) -> BlockResult:
             with stage("locate"):
                 seen_at = job.locate.run(reference, secondary, local, found, kept)
                 located = _moved(seen_at if frame is None else frame.back(seen_at), here, there, seen_at.origin)
-                measured = measured_model(local, seen_at, len(kept))
+                measured = measured_model(local, seen_at, len(kept), reference.shape)
                 local, near = (local, False) if measured is None else (measured, True)
         if job.refine is not None and local is not None:
             with stage("refine"):
-                seen = job.refine.run(reference, secondary, local, Matches.empty(), REFINED, near=near)
+                wanted = refined_points(block.window)
+                seen = job.refine.run(reference, secondary, local, Matches.empty(), wanted, near=near)
                 refined = seen.matches if frame is None else frame.back(seen.matches)
                 refined, candidates = _moved(refined, here, there), seen.candidates
                 refined = refined.take(np.flatnonzero(block.window.holds(refined.reference_xy)))
@@ -228,6 +232,11 @@ def _matched(job: Job, prior: Prior, block: Block) -> BlockResult:
         there,
         located=located,
     )
+
+
+def refined_points(window: Window) -> int:
+    """How many points of a block are refined: as many a pixel in large blocks as in those of 600 x 600."""
+    return max(REFINED, window.size // PIXELS_PER_REFINED)
 
 
 def search_window(prior: Prior, here: Window, shape: tuple[int, int]) -> Window | None:
@@ -302,18 +311,39 @@ def _local_model(prior: Prior, here: Window, there: Window, frame: Frame | None,
     return Affine(linear.coefficients + np.column_stack([np.zeros((2, 2)), off]))
 
 
-def measured_model(local: Affine, located: Matches, count: int) -> Affine | None:
-    """The affine map of a block by its located tie points near its first one; None where of `count` these are few."""
+def measured_model(local: Affine, located: Matches, count: int, shape: tuple[int, int]) -> Affine | None:
+    """The affine map of a block by its located tie points near its first one.
+
+    None where of `count` these are few, or where they lie so close together that the map of the whole window, `shape`
+    (H, W), would be a guess at its far corners.
+    """
     if located.covariance is None:
         return None
     near = located.take(np.flatnonzero(local.residuals(located.reference_xy, located.secondary_xy) <= NEAR_PX))
     if len(near) < max(LEAST_AFFINE, LEAST_LOCATED * count) or near.covariance is None:
         return None
-    model, _ = irls(
+    model, used = irls(
         Affine, near.reference_xy, near.secondary_xy, weights=inverse_variances(near.covariance),
         scale_px=LOCATED_SCALE_PX, iterations=ROUNDS,
     )  # fmt: skip
-    return None if isinstance(model, FailedFit) else model
+    if isinstance(model, FailedFit):
+        return None
+    return model if _reaches(near.reference_xy[used > 0], shape) else None
+
+
+def _reaches(xy: FloatArray, shape: tuple[int, int]) -> bool:
+    """Whether (N, 2) points determine an affine map at the corners of a window: none lies more than `FAR` times as far
+    from their middle as they do.
+    """
+    if len(xy) < LEAST_AFFINE:
+        return False
+    height, width = shape
+    corners = np.array([[0, 0], [width - 1, 0], [0, height - 1], [width - 1, height - 1]], np.float64)
+    spread = np.cov(xy.T)
+    if np.linalg.det(spread) <= 0:
+        return False
+    away = corners - xy.mean(axis=0)
+    return bool(np.einsum("ni,ij,nj->n", away, np.linalg.inv(spread), away).max() <= FAR**2)
 
 
 def _linear_prior(prior: Prior, here: Window, there: Window, frame: Frame | None) -> Affine | None:

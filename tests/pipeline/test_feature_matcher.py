@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 import featreg
 from featreg import registry
 from featreg.errors import ParameterError
+from featreg.geometry import Affine
 from featreg.interfaces import Detector
 from featreg.io import as_image
 from featreg.pipeline.assembly import assemble
-from featreg.pipeline.feature_matcher import FeatureMatcher, common_rotation
+from featreg.pipeline.feature_matcher import FeatureMatcher, common_rotation, known_rotation
 from featreg.simulate import SimulatedPair
 from featreg.types import Features, Image, Matches
 
@@ -243,6 +244,27 @@ def test_keypoints_are_those_of_an_image_compared_with_one_of_its_size(sar_textu
     own = {tuple(point) for point in made.keypoints(image)}
     assert len(found) > 20
     assert {tuple(point) for point in found.reference_xy} <= own
+
+
+def test_near_a_known_model_features_are_described_in_its_direction(turned_pair: SimulatedPair) -> None:
+    images, truth = (as_image(turned_pair.reference), as_image(turned_pair.secondary)), turned_pair.truth
+    made = matcher(800)
+    voted, known = made.match(*images), made.match_near(*images, Affine(truth), 5.0)
+    assert correct(known, truth).sum() > 0.95 * correct(voted, truth).sum() > 50
+    assert known.rotation is not None
+    assert np.ptp(known.rotation) < 1e-9
+    turn = known_rotation(Affine(truth), images[0].shape, 5.0)
+    assert turn == pytest.approx(float(known.rotation[0]))
+    assert voted.rotation is not None
+    assert turn == pytest.approx(float(voted.rotation[0]), abs=math.radians(4))
+    # So far off the model a point may lie only where the rotation is open; a mirrored image has none.
+    assert known_rotation(Affine(truth), images[0].shape, 60.0) is None
+    assert known_rotation(Affine(np.array([[-1.0, 0, 0], [0, 1, 0]])), images[0].shape, 5.0) is None
+    again = made.match_near(*images, Affine(truth), 60.0)
+    np.testing.assert_array_equal(again.secondary_xy, voted.secondary_xy)
+    # Directions of their own are kept where that was asked for.
+    own = matcher(800, common=False)
+    np.testing.assert_array_equal(own.match_near(*images, Affine(truth), 5.0).rotation, own.match(*images).rotation)
 
 
 def test_only_positions_that_are_measured_again_are_found_in_reduced_images() -> None:

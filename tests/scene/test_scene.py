@@ -18,11 +18,23 @@ from featreg.errors import CancelledError, InputError, NoOverlapError, Parameter
 from featreg.geometry import Affine
 from featreg.interfaces import Filter, FilterContext, Matcher
 from featreg.io import as_image
-from featreg.io.raster_source import Window
+from featreg.io.raster_source import ImageSource, Window
+from featreg.matching import keypoints_of
+from featreg.pipeline.assembly import assemble
 from featreg.results.registration import Registration
-from featreg.scene.blocks import Block, plan_blocks, spread_out
+from featreg.sar.speckle import equivalent_looks
+from featreg.scene.blocks import Block, middle_of, plan_blocks, spread_out, suitable_side
 from featreg.scene.prior import Prior
-from featreg.scene.task import columns_of, from_columns, measured_model, run_block, search_window, skip_reason
+from featreg.scene.samples import SIDE, SQUARES, sampled
+from featreg.scene.task import (
+    columns_of,
+    from_columns,
+    measured_model,
+    refined_points,
+    run_block,
+    search_window,
+    skip_reason,
+)
 from featreg.simulate import sar_pair
 from featreg.types import BoolArray, Image, Matches
 
@@ -80,6 +92,25 @@ def test_blocks_own_every_pixel_once() -> None:
 
 def test_an_area_smaller_than_a_block_is_one_block() -> None:
     assert [b.window for b in plan_blocks(Window(3, 4, 50, 70), 600)] == [Window(3, 4, 50, 70)]
+
+
+def test_large_scenes_have_larger_blocks_and_as_many_refined_points() -> None:
+    refined, plain, dense = (
+        assemble(name, blocks=True, refine=refine)
+        for name, refine in (("sar-orb", True), ("sar-orb", False), ("sar-dense", None))
+    )
+    large, middling, small = (Window(0, 0, *size) for size in ((11_000, 10_000), (4400, 4000), (2500, 2750)))
+    assert 900 <= suitable_side(large, refined) <= 1100
+    assert suitable_side(middling, refined) == round(np.sqrt(4400 * 4000) / 5)
+    assert suitable_side(small, refined) == 600
+    # The matches of a block, so many a block, are the tie points; and the paper's blocks are those of the paper.
+    assert suitable_side(large, plain) == suitable_side(large, dense) == 600
+    assert suitable_side(large, refined, "proportional") == 600
+    assert [refined_points(Window(0, 0, side, side)) for side in (200, 600, 1200)] == [64, 64, 256]
+
+
+def test_a_pilot_block_is_the_middle_of_a_large_block() -> None:
+    assert middle_of(Block(3, 1, 1, Window(1000, 2000, 900, 500))) == Block(3, 1, 1, Window(1150, 2000, 600, 500))
 
 
 def test_pilot_blocks_lie_all_over() -> None:
@@ -452,9 +483,63 @@ def test_the_model_of_a_block_is_measured_where_located_points_are_many() -> Non
     there[:40] += rng.uniform(5, 50, (40, 2))  # wrong matches stay wrong
     covariance = np.tile(0.01 * np.eye(2), (200, 1, 1))
     located = Matches(here, there, np.ones(200), covariance)
-    measured = measured_model(rough, located, 200)
+    measured = measured_model(rough, located, 200, (600, 600))
     assert measured is not None
     assert np.abs(measured(here) - truth(here)).max() < 0.05
     # Few near the first model, or of unknown covariance, measure none.
-    assert measured_model(rough, located.take(np.arange(60)), 200) is None
-    assert measured_model(rough, replace(located, covariance=None), 200) is None
+    assert measured_model(rough, located.take(np.arange(60)), 200, (600, 600)) is None
+    assert measured_model(rough, replace(located, covariance=None), 200, (600, 600)) is None
+
+
+def test_located_points_in_one_corner_do_not_measure_the_model_of_a_block() -> None:
+    rng = np.random.default_rng(6)
+    truth = Affine(np.array([[1.01, 0.02, 5.0], [-0.02, 0.99, -3.0]]))
+    covariance = np.tile(0.01 * np.eye(2), (200, 1, 1))
+
+    def measured(here: NDArray[np.float64]) -> Affine | None:
+        there = truth(here) + rng.normal(0, 0.3, here.shape)
+        return measured_model(truth, Matches(here, there, np.ones(200), covariance), 200, (600, 600))
+
+    everywhere = rng.uniform(0, 600, (200, 2))
+    corners = np.array([[0, 0], [599, 0], [0, 599], [599, 599]], np.float64)
+    for here in (everywhere, everywhere * [0.5, 1]):  # half of a block is enough
+        found = measured(here)
+        assert found is not None
+        assert np.abs(found(corners) - truth(corners)).max() < 0.5
+    assert measured(everywhere * 0.4) is None
+    line = np.column_stack([everywhere[:, 0], everywhere[:, 0] + everywhere[:, 1] / 30])
+    assert measured(line) is None
+    assert measured(np.column_stack([everywhere[:, 0], everywhere[:, 0]])) is None
+
+
+# ---------------------------------------------------------------- what is looked at
+
+
+def test_keypoints_of_a_scene_are_those_of_its_blocks(located_pair: Any) -> None:
+    got = featreg.match(
+        located_pair.reference, located_pair.secondary, **BLOCK, initial=located_pair.truth, search_radius=12
+    )
+    found = keypoints_of(located_pair.reference, method="sar-orb", block=200)
+    assert found is not None
+    own = {tuple(point) for point in found}
+    assert len(own) > len(got.matches) > 500
+    # The overlap, whose blocks the scene has, lacks a rim of the reference: features of the same windows only.
+    blocks = plan_blocks(Window(0, 0, 800, 700), 200)
+    assert len(blocks) * 1000 >= len(found)
+    assert found.min() >= -0.5
+    shared = np.mean([tuple(point) in own for point in got.matches.reference_xy])
+    assert shared > 0.9
+    assert keypoints_of(located_pair.reference, method="rc-obcls", block=200) is None
+
+
+def test_a_scene_is_probed_by_squares_of_its_own_pixels() -> None:
+    rng = np.random.default_rng(3)
+    speckle = np.sqrt(rng.gamma(4.0, 0.25, (1500, 1400))).astype(np.float32)
+    speckle[:590] = np.nan
+    source = ImageSource(as_image(speckle))
+    seen = sampled(source)
+    assert seen.shape == ((SQUARES**2 - 10) * SIDE, SIDE)  # two rows of squares hold no data
+    assert seen.all_valid
+    assert equivalent_looks(seen) == pytest.approx(equivalent_looks(as_image(speckle[590:])), rel=0.05)
+    small = ImageSource(as_image(speckle[600:700, :90]))
+    assert sampled(small).shape == (100, 90)
