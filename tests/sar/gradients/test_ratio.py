@@ -230,6 +230,35 @@ def test_strength_is_the_length_of_the_gradient_to_one_percent_at_ratios_below_s
     np.testing.assert_allclose(edge_strength(gx, gy), np.hypot(gx, gy), atol=1e-5)
 
 
+@pytest.mark.parametrize("alpha", [0.001, 0.03, 0.05, 0.1, 0.4])
+def test_of_small_alpha_the_ratios_are_those_of_the_weighted_neighbours(sar_texture: Texture, alpha: float) -> None:
+    """Weights are sums of exp(-d / alpha), the nearest pixel's taken out of them, which would underflow."""
+    amplitude = sar_texture(21, 30)
+    grey = amplitude.astype(np.float64) + 0.1 * amplitude.mean(dtype=np.float64)
+
+    def along_x(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+        high, wide = (np.arange(n) for n in rows.shape)
+        summed = np.exp(-np.abs(high[:, None] - high) / alpha) @ rows
+        away = wide - wide[:, None]
+        after, before = (np.exp(-np.maximum(a - 1, 0) / alpha) * (a > 0) for a in (away, -away))
+        sides = (summed @ side.T / np.maximum(side.sum(axis=1), 1) for side in (after, before))
+        right, left = (side[:, 1:-1] for side in sides)
+        return np.asarray(np.log(right / left))
+
+    gx, gy = roewa(amplitude, alpha, None, 0.1)
+    x, y = along_x(grey), along_x(grey.T).T
+    np.testing.assert_allclose(gx[:, 1:-1], x, atol=2e-6)
+    np.testing.assert_allclose(gy[1:-1], y, atol=2e-6)
+    strength = roewa_strength(amplitude, alpha, 0.1)[1:-1, 1:-1] / STEPS
+    weak = np.maximum(np.abs(x[1:-1]), np.abs(y[:, 1:-1])) < np.log(6)
+    np.testing.assert_allclose(strength[weak], np.hypot(x[1:-1], y[:, 1:-1])[weak], rtol=0.01, atol=2 / STEPS)
+    masked = roewa(amplitude, alpha, np.arange(30)[None, :] + np.zeros((21, 1)) != 7, 0.1)[0]
+    # Beside the column without data nearly all weight is missing.
+    assert not masked[:, 6:9].any() or alpha > 0.2
+    np.testing.assert_allclose(masked[:, 20:-1], gx[:, 20:-1], atol=0.02)
+    assert not roewa_strength(np.zeros((9, 9), np.float32), alpha).any()
+
+
 def test_eq5_is_the_root_of_the_squared_ratios() -> None:
     gx, gy = np.log(np.array([[2.0, 0.5, 1.0]], np.float32)), np.log(np.array([[3.0, 3.0, 1.0]], np.float32))
     np.testing.assert_allclose(edge_strength(gx, gy, eq5=True)[0], np.sqrt([13, 13, 2]) - np.sqrt(2), rtol=1e-5)
