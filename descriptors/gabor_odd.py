@@ -16,6 +16,7 @@ from featreg.runtime.parameters import Count, Positive
 from featreg.sar.gradients.gabor import gabor_gradients
 from featreg.sar.gradients.gradient_field import GradientField, from_base, octave
 from featreg.sar.keypoints.gradient_histograms import Harmonics, Step, described, gloh, normalised, row_length
+from featreg.sar.pyramid import pyramid
 from featreg.types import Features, Image
 
 # A scale is computed on the coarsest halving of the image on which its sigma is at least so many pixels.
@@ -43,6 +44,7 @@ class GaborOdd(Descriptor):
     harmonics : Fourier harmonics kept of the directions of each cell, beside their mean, 0 to 4; 4 keeps the histograms
         of eight directions themselves
     magnification : the radius is so many times the keypoint's scale; 6 suits OpenCV's SIFT, which gives its sigma
+    exact : compute every scale on the image itself, in every pixel, instead of coarsely where filters are wide
 
     Notes
     -----
@@ -54,9 +56,9 @@ class GaborOdd(Descriptor):
     alike; any detector's keypoints may be described, those kept being the ones of the highest score. Three directions
     match as well as four, six or eight. Cells are GLOH's 17 instead of SIFT's 16 square ones. Two harmonics of a cell's
     directions match as well as its eight bins. Filters of larger sigma run on a halved image, and from a sigma of 1.9
-    of its pixels on in every other row and column of it; the two coarser of four are sampled half as often (`spread`),
-    which loses one in a hundred correct matches. What lies outside the image or near nodata counts as no gradient; only
-    keypoints that lie there themselves, or have no gradient around them, are dropped.
+    of its pixels on in every other row and column of it, unless `exact`; the two coarser of four are sampled half as
+    often (`spread`), which loses one in a hundred correct matches. What lies outside the image or near nodata counts as
+    no gradient; only keypoints that lie there themselves, or have no gradient around them, are dropped.
     """
 
     scales: Count = 1
@@ -68,6 +70,7 @@ class GaborOdd(Descriptor):
     spread: Annotated[float, Ge(1)] = math.sqrt(2)
     harmonics: Harmonics = 2
     magnification: Positive = 1.0
+    exact: bool = False
 
     def __post_init__(self) -> None:
         if math.log(self.sigma) + (self.scales - 1) * math.log(self.factor) > math.log(100) + 1e-9:
@@ -83,8 +86,9 @@ class GaborOdd(Descriptor):
     def describe_features(self, image: Image, features: Features) -> Features:
         total = np.zeros((len(features), row_length(self.harmonics)), np.float32)
         for k in range(self.scales):
-            level, sigma = octave(image, self.sigma * self.factor**k, COARSEST_GRID)
-            sparse = sigma >= SPARSE
+            sigma = self.sigma * self.factor**k
+            level, sigma = (pyramid(image, 1)[0], sigma) if self.exact else octave(image, sigma, COARSEST_GRID)
+            sparse = sigma >= SPARSE and not self.exact
             field = GradientField(*gabor_gradients(level, sigma, self.orientations, self.floor, sparse))
             radius = self.magnification * features.scale * level.shape[1] / image.shape[1]
             xy = from_base(features.xy, level, image)

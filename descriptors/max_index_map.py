@@ -50,6 +50,7 @@ class MaxIndexMap(Descriptor):
     noise : standard deviations above the mean noise energy that counts as structure
     floor : added to the sum of amplitudes, see `featreg.sar.gradients.phase_congruency`
     view : "soft-log" or "amplitude", what is filtered
+    exact : take the noise of each orientation from all pixels, as the paper does, instead of one for all from some
 
     Notes
     -----
@@ -86,6 +87,7 @@ class MaxIndexMap(Descriptor):
     noise: Noise = 0.0
     floor: Positive = 0.1
     view: View = "soft-log"
+    exact: bool = False
 
     def __post_init__(self) -> None:
         if self.patch < 3 * self.grid:
@@ -93,7 +95,7 @@ class MaxIndexMap(Descriptor):
 
     def _settings(self) -> tuple[LogGabor, Congruency]:
         bank = LogGabor(self.scales, self.orientations, self.min_wavelength, self.multiplier, self.bandwidth)
-        return bank, Congruency(self.noise, self.floor, self.view)
+        return bank, Congruency(self.noise, self.floor, self.view, exact=self.exact)
 
     def reach_of(self, scale: float) -> float:
         """Half the diagonal of the patch, which may be turned, and the coarsest filter at its corner."""

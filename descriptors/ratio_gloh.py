@@ -14,6 +14,7 @@ from featreg.registry import register
 from featreg.runtime.parameters import Positive
 from featreg.sar.gradients.gradient_field import from_base, octave, ratio_field
 from featreg.sar.keypoints.gradient_histograms import Harmonics, Step, described, gloh, normalised, row_length
+from featreg.sar.pyramid import pyramid
 from featreg.types import Features, Image
 
 
@@ -33,6 +34,7 @@ class RatioGloh(Descriptor):
     root : root of the share of each component (of each cell, where harmonics are kept) instead of clipping (RootSIFT)
     harmonics : Fourier harmonics kept of the directions of each cell, beside their mean, 0 to 4; 4 keeps the histograms
         of eight directions themselves
+    exact : compute every alpha on the image itself; otherwise coarse ones on an image halved one or more times
 
     Notes
     -----
@@ -43,7 +45,8 @@ class RatioGloh(Descriptor):
     Departures: directions are counted relative to the keypoint's; samples are shared between cells; of the directions
     of a cell two harmonics are kept, which match as well as eight bins in less time; alpha never falls below `finest`,
     because finer gradients are speckle; samples lie 1.5 alpha apart by default, where the gradients are nearly
-    independent. Fields of large alpha are computed on a halved image. What lies outside the image or near nodata counts
+    independent. Fields of large alpha are computed on a halved image unless
+    `exact`. What lies outside the image or near nodata counts
     as no gradient; only keypoints that lie there themselves, or without any gradient, are dropped.
     """
 
@@ -55,6 +58,7 @@ class RatioGloh(Descriptor):
     soft: bool = True
     root: bool = False
     harmonics: Harmonics = 2
+    exact: bool = False
 
     def reach_of(self, scale: float) -> float:
         """The radius, and twice the exponential weight of the gradients at its rim."""
@@ -66,7 +70,8 @@ class RatioGloh(Descriptor):
         number = np.rint(np.minimum(steps, math.log(max(image.shape)) / math.log(self.factor))).astype(np.int64)
         for n in np.unique(number):
             rows = np.flatnonzero(number == n)
-            level, alpha = octave(image, self.finest * self.factor ** int(n))
+            alpha = self.finest * self.factor ** int(n)
+            level, alpha = (pyramid(image, 1)[0], alpha) if self.exact else octave(image, alpha)
             smaller = level.shape[1] / image.shape[1]
             cells[rows] = gloh(
                 ratio_field(level, alpha, self.floor), from_base(features.xy[rows], level, image),

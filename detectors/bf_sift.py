@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Self
 
 import numpy as np
-from annotated_types import Ge
+from annotated_types import Ge, Interval
 from numpy.typing import NDArray
 
 from featreg.interfaces import Detector
@@ -15,7 +15,7 @@ from featreg.registry import register
 from featreg.runtime.parameters import Count, Positive
 from featreg.sar.gradients.bilateral import BilateralSpace, bilateral_extrema, bilateral_field, bilateral_level
 from featreg.sar.gradients.gradient_field import from_base
-from featreg.sar.keypoints.gradient_histograms import dominant_orientation
+from featreg.sar.keypoints.gradient_histograms import dominant_orientation, further_orientations
 from featreg.sar.keypoints.maxima import around, quadratic_steps
 from featreg.sar.pyramid import clear, pyramid, share_out, to_base
 from featreg.types import Features, FloatArray, Image, IntArray
@@ -48,6 +48,8 @@ class BfSift(Detector):
     skip : so many of the finest scales give no keypoints
     orientation_scale : the orientation is that of gradients whose sigma is so many times that of the keypoint, within
         half of so many times the support
+    second : another peak of the histogram of directions of at least this share of the highest makes a further keypoint
+        at the same place; 1: none does
 
     Notes
     -----
@@ -62,8 +64,9 @@ class BfSift(Detector):
     Windows of whole pixels, cut at 1.5 sigma, make the steps between levels uneven, so that some intervals hold few
     extrema. The paper skips the finest scale (`skip`); here a budget favours it, as its keypoints lie best. Octaves
     are halvings of the amplitude, not of the smoothed image. The position is that of a quadratic surface in space; the
-    scale stays that of the level. No contrast or edge test: the budget keeps the strongest. One orientation a point,
-    from gradients half as coarse again as the point, in which less speckle is left; `orientation_scale` 1 is SIFT's.
+    scale stays that of the level. No contrast or edge test: the budget keeps the strongest. One orientation a point
+    (`second`; 0.8 is SIFT's), from gradients half as coarse again as the point, in which less speckle is left;
+    `orientation_scale` 1 is SIFT's.
     Where an image has pixels enough for the budget the coarsest scale of an octave is left out (`thin`): its last level
     takes a third of the time of all, and without it a twentieth more matches are correct, in a fifth more places. The
     smaller of a pair decides for both (`for_pair`): were only one of them thinned, half of the matches would be lost.
@@ -81,6 +84,7 @@ class BfSift(Detector):
     thin: bool = True
     skip: Annotated[int, Ge(0)] = 0
     orientation_scale: Positive = 1.5
+    second: Annotated[float, Interval(gt=0, le=1)] = 1.0
 
     @property
     def reach(self) -> float:
@@ -109,17 +113,18 @@ class BfSift(Detector):
             finer, coarser = (bilateral_level(level, space, interval + k) for k in (1, 2))
             xy = to_base(_places(finer, coarser, flat[:count]), level, image)
             scale = self.support * space.sigma_of(interval + 1) * image.shape[1] / level.shape[1]
+            rows, angle = self._orientations(image, chain, number, xy, scale)
             parts.append(
                 Features(
-                    xy=xy,
-                    scale=np.full(len(xy), scale),
-                    angle=self._orientation(image, chain, number, xy, scale),
-                    score=score[:count],
-                    level=np.full(len(xy), number),
+                    xy=xy[rows],
+                    scale=np.full(len(rows), scale),
+                    angle=angle,
+                    score=score[:count][rows],
+                    level=np.full(len(rows), number),
                 )
             )
         everything = Features.concatenate(parts)
-        return everything.take(np.argsort(-everything.score, kind="stable"))
+        return everything.take(np.argsort(-everything.score, kind="stable")[: self.n_features])
 
     def _plenty(self, image: Image) -> bool:
         return image.valid_count >= PLENTY * self.n_features
@@ -140,18 +145,24 @@ class BfSift(Detector):
         best = np.argsort(-strength, kind="stable")[: self.n_features]
         return flat[best], strength[best].astype(np.float64)
 
-    def _orientation(
+    def _orientations(
         self, image: Image, chain: tuple[Image, ...], number: int, xy: FloatArray, scale: float
-    ) -> FloatArray:
-        """(N,) direction of the gradients around points (N, 2) of the image, of one scale, found in one interval."""
-        if not len(xy):
-            return np.zeros(0)
+    ) -> tuple[IntArray, FloatArray]:
+        """((K,) rows, (K,) directions) of the gradients around points (N, 2) of one scale, found in one interval.
+
+        Every point comes once, and after all of them those that have further directions.
+        """
         coarser = number + round(math.log2(self.orientation_scale) * self.intervals)
         octave, interval = divmod(min(max(0, coarser), len(chain) * self.intervals - 1), self.intervals)
         level = chain[octave]
         field = bilateral_field(level, self._space(), interval + 1)
         radius = 0.5 * self.orientation_scale * scale * level.shape[1] / image.shape[1]
-        return dominant_orientation(field, from_base(xy, level, image), np.full(len(xy), radius))
+        around = field, from_base(xy, level, image), np.full(len(xy), radius)
+        rows, angle = np.arange(len(xy)), dominant_orientation(*around)
+        if self.second < 1:
+            further, others = further_orientations(*around, self.second)
+            rows, angle = np.concatenate([rows, further]), np.concatenate([angle, others])
+        return rows, angle
 
 
 def _places(finer: F32, coarser: F32, flat: IntArray) -> FloatArray:

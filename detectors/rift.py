@@ -41,6 +41,7 @@ class PhaseCongruency(Detector):
     noise : standard deviations above the mean noise energy that counts as structure
     floor : added to the sum of amplitudes, see `featreg.sar.gradients.phase_congruency`
     view : "soft-log" or "amplitude", what is filtered
+    exact : take the noise of each orientation from all pixels, as the paper does, instead of one for all from some
 
     Notes
     -----
@@ -68,10 +69,11 @@ class PhaseCongruency(Detector):
     noise: Noise = 0.0
     floor: Positive = 0.1
     view: View = "soft-log"
+    exact: bool = False
 
     def _settings(self) -> tuple[LogGabor, Congruency]:
         bank = LogGabor(self.scales, self.orientations, self.min_wavelength, self.multiplier, self.bandwidth)
-        return bank, Congruency(self.noise, self.floor, self.view)
+        return bank, Congruency(self.noise, self.floor, self.view, exact=self.exact)
 
     @property
     def reach(self) -> float:

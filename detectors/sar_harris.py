@@ -26,7 +26,7 @@ from featreg.sar.gradients.gradient_field import (
 from featreg.sar.keypoints.gradient_histograms import dominant_orientation, further_orientations
 from featreg.sar.keypoints.harris import harris_response, ratio_harris_response
 from featreg.sar.keypoints.maxima import interpolated, local_maxima, parabola_peak, quadratic_peak
-from featreg.sar.pyramid import clear, share_out, to_base
+from featreg.sar.pyramid import clear, pyramid, share_out, to_base
 from featreg.sar.speckle import filled_amplitude
 from featreg.types import Features, FloatArray, Image, IntArray
 
@@ -76,6 +76,8 @@ class SarHarris(Detector):
         as many so far from the border that corners of `finest` are found there
     second : another peak of the histogram of directions of at least this share of the highest makes a further keypoint
         at the same place; 1: none does
+    exact : compute every scale on the image itself and take directions from samples half an alpha apart; otherwise
+        coarse scales are computed on an image halved one or more times, and samples lie 0.84 alpha apart
 
     Notes
     -----
@@ -88,12 +90,12 @@ class SarHarris(Detector):
     Departures. The defaults begin at alpha = 1 and smooth by 0.8 alpha, since the position of a maximum is as blurred
     as the response, and finer scales get a larger share of the budget: on Sentinel-1 pairs more than three times as
     many correct matches as with the paper's values, which are parameters. One-sided means exclude the pixel itself.
-    Coarse scales are computed on an image halved one or more times, where their alpha is at least 1.25 pixels. The
-    position comes from a quadratic surface through the 3 x 3 responses, the scale from a parabola over the logarithm
-    of alpha; both stay at the pixel and the layer where the fit leaves it. A keypoint has one orientation (`second`).
-    Neighbouring scales find many corners twice. Where there are more than enough of them (`thin`), every other scale
-    gives as many correct matches in a fifth to a half more places, for half of the work; small images need all.
-    How many valid pixels they have decides, and the smaller of a pair for both (`for_pair`): were only one of them
+    Coarse scales are computed on an image halved one or more times, where their alpha is at least 1.25 pixels, unless
+    `exact`. The position comes from a quadratic surface through the 3 x 3 responses, the scale from a parabola over the
+    logarithm of alpha; both stay at the pixel and the layer where the fit leaves it. A keypoint has one orientation
+    (`second`). Neighbouring scales find many corners twice. Where there are more than enough of them (`thin`), every
+    other scale gives as many correct matches in a fifth to a half more places, for half of the work; small images need
+    all. How many valid pixels they have decides, and the smaller of a pair for both (`for_pair`): were only one of them
     thinned, a fifth of the matches would be lost. Where few keypoints are asked of many pixels (`coarse`), corners of
     the finest scales are mostly speckle's: without them a fifth to a quarter more matches are correct on single and
     four looks, in four fifths of the time, and 3 % less exact before they are measured again. Not in blocks.
@@ -117,6 +119,7 @@ class SarHarris(Detector):
     thin: bool = True
     coarse: bool = True
     second: Annotated[float, Interval(gt=0, le=1)] = 1.0
+    exact: bool = False
 
     @property
     def reach(self) -> float:
@@ -161,7 +164,8 @@ class SarHarris(Detector):
         angle = np.empty(len(features))
         for number in np.unique(features.level):
             rows = np.flatnonzero(features.level == number)
-            angle[rows] = dominant_orientation(*self._gradients(image, int(number), features.xy[rows]))
+            around = self._gradients(image, int(number), features.xy[rows])
+            angle[rows] = dominant_orientation(*around, self._step)
         return replace(features, angle=angle)
 
     def _with_further(self, image: Image, features: Features) -> Features:
@@ -169,8 +173,8 @@ class SarHarris(Detector):
         for number in np.unique(features.level):
             points = features.take(np.flatnonzero(features.level == number))
             around = self._gradients(image, int(number), points.xy)
-            parts.append(replace(points, angle=dominant_orientation(*around)))
-            rows, others = further_orientations(*around, self.second)
+            parts.append(replace(points, angle=dominant_orientation(*around, self._step)))
+            rows, others = further_orientations(*around, self.second, self._step)
             parts.append(replace(points.take(rows), angle=others))
         return self._best(Features.concatenate(parts))
 
@@ -189,9 +193,18 @@ class SarHarris(Detector):
             max(0, math.ceil(math.log(self.finest / self.alpha) / math.log(self.factor) - 1e-6)), self.scales - 1
         )
 
+    @property
+    def _step(self) -> float:
+        """Distance of the samples of directions, relative to their radius of half the support."""
+        return 1 / self.support if self.exact else 0.14
+
+    def _grid(self, image: Image, alpha: float) -> tuple[Image, float]:
+        """The image on which a scale is computed, and its alpha there."""
+        return (pyramid(image, 1)[0], alpha) if self.exact else octave(image, alpha, COARSEST_GRID)
+
     def _layer(self, image: Image, number: int) -> _Layer:
         alpha = self.alpha * self.factor**number
-        level, local = octave(image, alpha, COARSEST_GRID)
+        level, local = self._grid(image, alpha)
         out, sigma = scratch(f"response {alpha!r}", level.shape), self.integration * local
         # Neither orientations nor descriptors are taken from gradients finer than `finest`.
         if alpha < self.finest:
@@ -211,6 +224,6 @@ class SarHarris(Detector):
 
     def _gradients(self, image: Image, number: int, xy: FloatArray) -> tuple[GradientField, FloatArray, FloatArray]:
         """The gradients that give points (N, 2) of a scale their direction, their places in them, and (N,) radii."""
-        level, local = octave(image, max(self.alpha * self.factor**number, self.finest), COARSEST_GRID)
+        level, local = self._grid(image, max(self.alpha * self.factor**number, self.finest))
         radius = np.full(len(xy), 0.5 * self.support * local)
         return ratio_field(level, local, self.floor), from_base(xy, level, image), radius

@@ -16,7 +16,7 @@ from featreg.registry import register
 from featreg.runtime.parameters import Count, Positive
 from featreg.sar.gradients.gradient_field import from_base
 from featreg.sar.gradients.ratio import quantised_edges, ratio_gradients
-from featreg.sar.keypoints.corners import fast_corners, orient_level, refine_centroid, refine_corner
+from featreg.sar.keypoints.corners import fast_corners, orient_level, orientation, refine_centroid, refine_corner
 from featreg.sar.pyramid import REACH, SUPPORT, clear, level_count, pyramid, share_out, to_base
 from featreg.sar.speckle import despeckled_bytes_around
 from featreg.types import Features, Image, read_only
@@ -44,7 +44,8 @@ class SarOfast(Detector):
     subpixel : "centroid" (of the edge map), "corner" (the paper's Eq. 6 and 7) or "none"
     clip : whether the strongest edges share the value 255, or it stands for the greatest strength alone
     sigma : standard deviation in pixels of the Gaussian weight of the 7 x 7 sub-pixel neighbourhood
-    centroid : of what the direction of a corner is the centroid: "amplitude" (despeckled) or "edges" (the paper's)
+    centroid : of what the direction of a corner is the centroid: "amplitude" (despeckled, of every third pixel along x
+        and y, around the sub-pixel position) or "edges" (the paper's, of every pixel, around the corner of FAST)
     skip : at most so many of the finest levels are not searched, but as many more coarser ones: as long as the first
         one that is has at least 90 valid pixels for each keypoint asked for, and the last one room for a keypoint
 
@@ -95,7 +96,7 @@ class SarOfast(Detector):
         return self.oriented(image, self.detect_places(image))
 
     def detect_places(self, image: Image) -> Features:
-        """As `detect_features`, upright."""
+        """As `detect_features`, upright but for directions of the edges."""
         first = self._skipped(image)
         chain = pyramid(image, first + self.levels, self.factor)[first:]
         found = [self._corners(level) for level in chain]
@@ -103,16 +104,24 @@ class SarOfast(Detector):
         parts = []
         for number, (level, (xy, score), count) in enumerate(zip(chain, found, counts, strict=True), first):
             moved, stable = self._subpixel(level, xy[:count])
+            # The published direction is that of the corner, before it moves; ours is asked for later, of few at times.
+            if self.centroid == "edges":
+                angle = orientation(self._edges(level), xy[:count], ORIENTATION_RADIUS, stride=1)
+            else:
+                angle = np.zeros(count)
             radius = self.support * math.sqrt(image.mask.size / level.mask.size)
             parts.append(
-                (to_base(moved, level, image), score[:count], stable, np.full(count, radius), np.full(count, number))
-            )
-        places, score, stable, scale, numbers = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+                (
+                    to_base(moved, level, image), score[:count], stable, np.full(count, radius), np.full(count, number),
+                    angle,
+                )
+            )  # fmt: skip
+        places, score, stable, scale, numbers, angle = (np.concatenate(columns) for columns in zip(*parts, strict=True))
         order = np.argsort(255 - score, kind="stable")
         return Features(
             xy=read_only(places.take(order, 0)),
             scale=read_only(scale.take(order)),
-            angle=read_only(np.zeros(len(order))),
+            angle=read_only(angle.take(order)),
             score=score.take(order),
             level=read_only(numbers.take(order)),
             subpixel=read_only(stable.take(order)),
@@ -120,17 +129,16 @@ class SarOfast(Detector):
 
     def oriented(self, image: Image, features: Features) -> Features:
         """With the direction to the centroid of the disc around the pixel on which a keypoint falls on its level."""
+        if self.centroid == "edges":
+            return features
         angle, numbers, shape = np.zeros(len(features)), features.level, image.shape
         counts = np.bincount(numbers).tolist()
         chain = pyramid(image, len(counts), self.factor)
         for number, (level, count) in enumerate(zip(chain, counts, strict=False)):
             if not count:
                 continue
-            if self.centroid == "amplitude":
-                places = partial(_places, features, number, level, image)
-                view = despeckled_bytes_around(level, places, count, ORIENTATION_RADIUS)
-            else:
-                view = self._edges(level)
+            places = partial(_places, features, number, level, image)
+            view = despeckled_bytes_around(level, places, count, ORIENTATION_RADIUS)
             orient_level(view, features.xy, shape, numbers, number, ORIENTATION_RADIUS, angle)
         return features.having(angle=read_only(angle))
 

@@ -27,11 +27,29 @@ _PAPER_OFAST = {
     "threshold": 5,
 }
 # SIFT's descriptor covers 6 sigma, and OpenCV's keypoints carry sigma.
-_PAPER_GABOR = {"orientations": 6, "harmonics": 4, "magnification": 6.0, "spread": 100.0}
+_PAPER_GABOR = {
+    "orientations": 6,
+    "harmonics": 4,
+    "magnification": 6.0,
+    "spread": 100.0,
+    "step": 0.0625,
+    "exact": True,
+}
 _PAPER_BRIEF = {"bits": 256, "radius": 16.0, "spread": 6.2, "sigma": 2.0}
 
 _MULTI_SCALE = {"scales": 4, "sigma": 1.4}
 _PAPER_BILATERAL = {"octaves": 3, "sigma": 1.6, "exact": True}
+_PAPER_EXTREMA = {"quota_decay": 1.0, "orientation_scale": 1.0, "thin": False, "skip": 1, "second": 0.8}
+_PAPER_HARRIS = {
+    "alpha": 2.0,
+    "integration": 2**0.5,
+    "quota_decay": 1.0,
+    "thin": False,
+    "coarse": False,
+    "second": 0.8,
+    "subscale": False,
+    "exact": True,
+}
 
 _PAPER_CONGRUENCY = {
     "scales": 4,
@@ -42,6 +60,7 @@ _PAPER_CONGRUENCY = {
     "noise": 1.0,
     "floor": 1e-4,
     "view": "amplitude",
+    "exact": True,
 }
 _PAPER_INDEX_MAP = {
     **_PAPER_CONGRUENCY,
@@ -112,11 +131,9 @@ SAR: Mapping[str, Preset] = {
     ),
     "sar-sift-paper": Preset(
         "SAR-Harris and ratio descriptors as in Dellinger et al. 2015, ratio test, RANSAC",
-        detector=Part(
-            "sar-harris",
-            {"alpha": 2.0, "integration": 2**0.5, "quota_decay": 1.0, "thin": False, "coarse": False, "second": 0.8},
-        ),
-        descriptor=Part("ratio-gloh", {"soft": False, "harmonics": 4}),
+        detector=Part("sar-harris", _PAPER_HARRIS),
+        # Samples half an alpha apart: a pixel where alpha is least.
+        descriptor=Part("ratio-gloh", {"soft": False, "harmonics": 4, "step": 1 / 24, "exact": True}),
         nearest=Part("brute-force", {"mutual": False, "ratio": 0.8}),
         filters=(Part("ransac"),),
         locate=False,
@@ -166,10 +183,8 @@ SAR: Mapping[str, Preset] = {
     ),
     "bfsift-paper": Preset(
         "SIFT in an exact bilateral scale space without the finest scale, after Wang et al. 2012, mutual, RANSAC",
-        detector=Part(
-            "bf-sift", {**_PAPER_BILATERAL, "quota_decay": 1.0, "orientation_scale": 1.0, "thin": False, "skip": 1}
-        ),
-        descriptor=Part("bf-sift", {**_PAPER_BILATERAL, "coarser": 1.0, "harmonics": 4}),
+        detector=Part("bf-sift", {**_PAPER_BILATERAL, **_PAPER_EXTREMA}),
+        descriptor=Part("bf-sift", {**_PAPER_BILATERAL, "coarser": 1.0, "harmonics": 4, "step": 0.0625}),
         nearest=Part("brute-force"),
         filters=(Part("ransac"),),
         locate=False,

@@ -30,7 +30,7 @@ I64 = NDArray[np.int64]
 REACH = 1.5
 # Differences, in units of the tone, from which on the fast cascade gives no weight.
 VANISHING = 4.0
-# Differences of neighbouring pixels from which the noise is taken, about.
+# Differences of neighbouring pixels from which the noise is taken, about, where not all are.
 SAMPLE = 8_000
 
 
@@ -43,9 +43,10 @@ class BilateralSpace:
     intervals : levels to a doubling of sigma; three more give each interval neighbours on both sides
     sigma : spatial standard deviation in pixels of the first level
     tone : standard deviation of the weight of a difference of log-amplitudes, in units of the image's own noise
-    exact : filter the image itself for every level. Otherwise the fast way: each level filters the one before by what
-        is missing, sqrt(sigma_k^2 - sigma_(k-1)^2), as may be done with Gaussians; with bilateral weights it is another
-        filter, which flattens more, at about a tenth of the cost
+    exact : filter the image itself for every level, by a tone in units of the noise of all its pixels. Otherwise the
+        fast way: each level filters the one before by what is missing, sqrt(sigma_k^2 - sigma_(k-1)^2), as may be done
+        with Gaussians; with bilateral weights it is another filter, which flattens more, at about a tenth of the cost;
+        and some pixels tell the noise
     """
 
     intervals: int = 3
@@ -65,7 +66,8 @@ def bilateral_level(image: Image, space: BilateralSpace, level: int) -> F32:
 def _bilateral_level(image: Image, space: BilateralSpace, level: int) -> F32:
     import cv2
 
-    source, tone, wanted = log_amplitude(image), space.tone * noise_level(image), space.sigma_of(level)
+    source, wanted = log_amplitude(image), space.sigma_of(level)
+    tone = space.tone * noise_level(image, whole=space.exact)
     if space.exact:
         side = 2 * _radius(wanted) + 1
         return np.asarray(cv2.bilateralFilter(source, side, tone, wanted, borderType=cv2.BORDER_REFLECT_101))
@@ -136,19 +138,19 @@ def _bilateral_field(image: Image, space: BilateralSpace, level: int) -> Gradien
     return GradientField(gx, gy)
 
 
-def noise_level(image: Image) -> float:
+def noise_level(image: Image, *, whole: bool = False) -> float:
     """Return the standard deviation of the speckle of the log-amplitude, from the differences of neighbouring pixels.
 
     1.4826 / sqrt(2) times the median absolute difference along rows and columns of valid pixels, at least 1e-3. About
     0.58 for one look, whose long tail of dark pixels the median leaves out, and 0.26 for four; less where neighbouring
-    pixels are correlated.
+    pixels are correlated. Unless `whole`, about 8000 differences are taken, spread over the image.
     """
-    return image.derive(_noise_level)
+    return image.derive(_noise_level, whole=bool(whole))
 
 
-def _noise_level(image: Image) -> float:
+def _noise_level(image: Image, whole: bool) -> float:
     view, mask = log_amplitude(image), image.mask
-    step = max(1, math.isqrt(2 * view.size // SAMPLE))
+    step = 1 if whole else max(1, math.isqrt(2 * view.size // SAMPLE))
     every = slice(None, None, step)
     across = (view[every, 1::step] - view[every, :-1:step])[mask[every, 1::step] & mask[every, :-1:step]]
     down = (view[1::step, every] - view[:-1:step, every])[mask[1::step, every] & mask[:-1:step, every]]

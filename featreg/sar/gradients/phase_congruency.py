@@ -12,8 +12,8 @@ alone turns dark speckle into the strongest structure of all, and the amplitude 
 the minimum moment were found again (within 1.5 px) in 0.43 of the cases instead of 0.30. `floor` is of the order of
 the noise, where Kovesi has 1e-4: structure weaker than that is no more a corner than none. The index has a fraction:
 the vertex of the parabola through the largest amplitude and its two neighbours, so that it can be turned by any angle.
-One noise threshold, from all orientations, holds for each of them: speckle hardly has a direction, but estimates from
-few samples do.
+One noise threshold, from some places and all orientations, holds for each of these: speckle hardly has a direction,
+but estimates from few samples do; with `exact` every orientation has its own, from all pixels, as Kovesi has it.
 
 References
 ----------
@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 from featreg.runtime.parameters import Positive, checked
 from featreg.sar.gradients.log_gabor import LogGabor, finest_amplitude, pieces
 from featreg.sar.speckle import mean_amplitude
-from featreg.types import BoolArray, Image, read_only
+from featreg.types import BoolArray, FloatArray, Image, read_only
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
@@ -64,6 +64,7 @@ class Congruency:
     floor : added to the sum of amplitudes, in units of the view
     view : "soft-log", log(1 + amplitude / mean), or "amplitude", amplitude / mean
     cut_off, gain : centre and steepness of the logistic weight of the spread over scales
+    exact : take the noise threshold of each orientation from all valid pixels, instead of one for all from some
     """
 
     noise: Noise = 0.0
@@ -71,6 +72,7 @@ class Congruency:
     view: View = "soft-log"
     cut_off: float = 0.5
     gain: float = 3.0
+    exact: bool = False
 
 
 def congruency_maps(image: Image, bank: LogGabor, congruency: Congruency) -> tuple[F32, F32, U8, BoolArray]:
@@ -117,7 +119,7 @@ def _maps(image: Image, bank: LogGabor, congruency: Congruency) -> tuple[F32, F3
 
     usable = without_rim(image)
     view = _view(usable, congruency.view, bank.margin)
-    noise = np.float32(_noise(view, usable.mask, bank, congruency.noise))
+    noise = _noise(view, usable.mask, bank, congruency).astype(np.float32)
     floor, gain, cut_off = (np.float32(v) for v in (congruency.floor, congruency.gain, congruency.cut_off))
     angles = [math.pi * o / bank.orientations for o in range(bank.orientations)]
     directions = [(np.float32(math.cos(angle)), np.float32(math.sin(angle))) for angle in angles]
@@ -136,7 +138,7 @@ def _maps(image: Image, bank: LogGabor, congruency: Congruency) -> tuple[F32, F3
             responses = piece.responses(o)
             flat = responses.view(np.float32).reshape(len(responses), -1)
             _add_orientation(
-                flat, responses.shape[2], piece.margin, piece.margin, noise, floor, gain, cut_off, cosine, sine,
+                flat, responses.shape[2], piece.margin, piece.margin, noise[o], floor, gain, cut_off, cosine, sine,
                 moments, amplitudes[o],
             )  # fmt: skip
         norm = np.float32(2 / len(angles))
@@ -186,13 +188,25 @@ def _view(image: Image, name: str, reach: int) -> F32:
     return np.asarray(np.where(image.mask, view, around), np.float32)
 
 
-def _noise(view: F32, mask: BoolArray, bank: LogGabor, deviations: float) -> float:
-    """Kovesi's noise threshold: Rayleigh amplitudes, their median at the finest scale, falling with the bandwidth."""
-    rows, columns = (slice(None, None, max(1, n // NOISE_SAMPLE)) for n in view.shape)
-    seen = finest_amplitude(view, rows, columns, bank)[:, mask[rows, columns]]
-    tau = float(np.median(seen)) / math.sqrt(math.log(4)) if seen.size else 0.0
-    total = tau * sum(bank.multiplier**-s for s in range(bank.scales))
-    return total * (math.sqrt(math.pi / 2) + deviations * math.sqrt((4 - math.pi) / 2))
+def _noise(view: F32, mask: BoolArray, bank: LogGabor, congruency: Congruency) -> FloatArray:
+    """Kovesi's noise threshold of each orientation.
+
+    Amplitudes are Rayleigh's, of the median that they have at the finest scale, and fall with the bandwidth.
+    """
+    middle = np.zeros(bank.orientations)
+    if congruency.exact and mask.any():
+        finest = np.empty(view.shape, np.float32)
+        for o in range(bank.orientations):
+            for piece in pieces(view, bank):
+                near = (slice(piece.margin, piece.margin + s.stop - s.start) for s in (piece.rows, piece.columns))
+                finest[piece.rows, piece.columns] = np.abs(piece.responses(o)[0][tuple(near)])
+            middle[o] = np.median(finest[mask])
+    elif mask.any():
+        rows, columns = (slice(None, None, max(1, n // NOISE_SAMPLE)) for n in view.shape)
+        seen = finest_amplitude(view, rows, columns, bank)[:, mask[rows, columns]]
+        middle[:] = float(np.median(seen)) if seen.size else 0.0
+    total = middle / math.sqrt(math.log(4)) * sum(bank.multiplier**-s for s in range(bank.scales))
+    return np.asarray(total * (math.sqrt(math.pi / 2) + congruency.noise * math.sqrt((4 - math.pi) / 2)))
 
 
 def _without_rim(image: Image) -> Image | None:

@@ -62,16 +62,18 @@ def fast_corners(
     return xy, score
 
 
-def orientation(image: NDArray[np.float32] | NDArray[np.uint8], xy: IntArray, radius: int) -> FloatArray:
+def orientation(
+    image: NDArray[np.float32] | NDArray[np.uint8], xy: IntArray, radius: int, stride: int = 3
+) -> FloatArray:
     """Return the (N,) angle from each point to the intensity centroid of the disc of `radius` pixels around it.
 
-    Radians, counter-clockwise as seen. Every third pixel of the disc along x and y is used.
+    Radians, counter-clockwise as seen. One pixel in `stride` of the disc along x and along y is used.
     """
     from featreg.sar.keypoints import corner_kernels
 
     angle = np.zeros(len(xy))
     xs, ys = np.ascontiguousarray(xy.T)
-    corner_kernels.intensity_centroid(image, xs, ys, radius, 3, angle)
+    corner_kernels.intensity_centroid(image, xs, ys, radius, stride, angle)
     return angle
 
 
