@@ -15,7 +15,15 @@ from featreg.registry import register
 from featreg.runtime.parameters import Count, Positive
 from featreg.sar.gradients.gabor import gabor_gradients
 from featreg.sar.gradients.gradient_field import GradientField, from_base, octave
-from featreg.sar.keypoints.gradient_histograms import Harmonics, Step, described, gloh, normalised, row_length
+from featreg.sar.keypoints.gradient_histograms import (
+    Harmonics,
+    Step,
+    described,
+    gloh,
+    normalised,
+    row_length,
+    unit_length,
+)
 from featreg.sar.pyramid import pyramid
 from featreg.types import Features, Image
 
@@ -94,4 +102,4 @@ class GaborOdd(Descriptor):
             xy = from_base(features.xy, level, image)
             step = max(self.step, min(SPARSEST, self.step * self.factor**k / self.spread))
             total += normalised(gloh(field, xy, radius, features.angle, self.harmonics, step))
-        return described(image, features, normalised(total))
+        return described(image, features, unit_length(total))

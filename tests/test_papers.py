@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,10 +16,16 @@ from featreg.focusing import FRACTIONS, autofocus, complex_image
 from featreg.focusing.phase_error import Band
 from featreg.focusing.pulse_spectra import PulseSpectra, pulse_spectra
 from featreg.io import as_image
+from featreg.pipeline.assembly import assemble
+from featreg.pipeline.feature_matcher import FeatureMatcher
 from featreg.presets import PRESETS
+from featreg.sar.gradients.gabor import gabor_gradients
 from featreg.sar.gradients.gradient_field import GradientField
-from featreg.sar.keypoints.gradient_histograms import dominant_orientation, further_orientations
+from featreg.sar.gradients.ratio import quantised_edges, ratio_gradients
+from featreg.sar.keypoints.gradient_histograms import dominant_orientation, further_orientations, gloh, normalised
+from featreg.sar.keypoints.harris import harris_response
 from featreg.simulate import SimulatedPair, sar_pair
+from featreg.types import Features
 
 # (method, part, parameter, value, what the paper says)
 SAID: list[tuple[str, str, str, Any, str]] = [
@@ -28,6 +35,9 @@ SAID: list[tuple[str, str, str, Any, str]] = [
     ("sar-orb-paper", "detector", "subpixel", "corner", "the coordinate of corner q is (7)"),
     ("sar-orb-paper", "detector", "quota_decay", 1.2, "features selected from each layer decreases with ... scale"),
     ("sar-orb-paper", "detector", "levels", 8, "ORB's pyramid"),
+    ("sar-orb-paper", "detector", "factor", 1.2, "ORB's pyramid"),
+    ("sar-orb-paper", "detector", "skip", 0, "the FAST keypoints are detected at each edge layer of the pyramid"),
+    ("sar-orb-paper", "descriptor", "levels", 8, "local binary descriptors of the neighborhoods of keypoints"),
     ("sar-orb-paper", "descriptor", "bits", 256, "the BRIEF approach, as in ORB"),
     ("sar-orb-paper", "descriptor", "spread", 6.2, "BRIEF: a Gaussian of a fifth of the patch of 31"),
     ("sar-orb-paper", "nearest", "mutual", False, "a brute force algorithm is adopted to roughly match"),
@@ -38,13 +48,37 @@ SAID: list[tuple[str, str, str, Any, str]] = [
     ("sar-sift-paper", "detector", "d", 0.04, "d = 0.04"),
     ("sar-sift-paper", "detector", "second", 0.8, "directions of at least 0.8 of the highest peak, as SIFT"),
     ("sar-sift-paper", "detector", "thin", False, "k = 0 to 7, whatever the size"),
+    ("sar-sift-paper", "detector", "coarse", False, "k = 0 to 7, whatever the size"),
+    ("sar-sift-paper", "detector", "subscale", False, "local maxima of each scale alpha_k, of that scale"),
+    ("sar-sift-paper", "detector", "support", 12.0, "a circular neighbourhood of radius 12 alpha"),
+    ("sar-sift-paper", "detector", "exact", True, "no image is made smaller"),
+    ("sar-sift-paper", "descriptor", "exact", True, "no image is made smaller"),
+    ("sar-sift-paper", "descriptor", "harmonics", 4, "histograms of directions"),
+    ("sar-sift-paper", "descriptor", "soft", False, "every pixel is in one cell"),
     ("sar-sift-paper", "nearest", "ratio", 0.8, "ratio test of SIFT"),
     ("s-gof-paper", "descriptor", "magnification", 6.0, "SIFT's window: four cells of 3 sigma a side"),
+    ("s-gof-paper", "descriptor", "orientations", 6, "filters in six directions"),
+    ("s-gof-paper", "descriptor", "harmonics", 4, "histograms of directions"),
+    ("s-gof-paper", "descriptor", "exact", True, "no image is made smaller, no pixel left out"),
+    ("m-gof-paper", "descriptor", "exact", True, "no image is made smaller, no pixel left out"),
     ("m-gof-paper", "descriptor", "scales", 4, "several scales of filters"),
     ("m-gof-paper", "descriptor", "spread", 100.0, "every scale is sampled alike"),
     ("bfsift-paper", "detector", "exact", True, "bilateral filters instead of Gaussian ones"),
     ("bfsift-paper", "detector", "skip", 1, "without the finest scale"),
     ("bfsift-paper", "detector", "thin", False, "without the finest scale only"),
+    ("bfsift-paper", "detector", "second", 0.8, "keypoints are detected and described ... using SIFT"),
+    ("bfsift-paper", "detector", "orientation_scale", 1.0, "keypoints are detected and described ... using SIFT"),
+    ("bfsift-paper", "descriptor", "exact", True, "the anisotropic scale space ... is constructed using BFs"),
+    ("bfsift-paper", "descriptor", "coarser", 1.0, "keypoints are detected and described ... using SIFT"),
+    ("bfsift-paper", "descriptor", "harmonics", 4, "keypoints are detected and described ... using SIFT"),
+    ("bfsift-paper", "nearest", "mutual", True, "dual-matching strategy"),
+    ("rift-paper", "detector", "scales", 4, "N_s = 4"),
+    ("rift-paper", "detector", "orientations", 6, "N_o = 6"),
+    ("rift-paper", "detector", "exact", True, "T_o, the noise of each orientation"),
+    ("rift-paper", "descriptor", "exact", True, "the maps of the detector"),
+    ("rift-paper", "descriptor", "patch", 96.0, "a patch of J = 96"),
+    ("rift-paper", "descriptor", "grid", 6, "6 x 6 sub-grids"),
+    ("rift-paper", "descriptor", "reindex", "dominant", "RIFT2: dominant index value"),
     ("c-obcls-paper", "matcher", "tie_points", "c", "1) centroids' positions"),
     ("cc-obcls-paper", "matcher", "tie_points", "cc", "2) peak of the complex 2D cross-correlation modulus"),
     ("rc-obcls-paper", "matcher", "tie_points", "rc", "3) peak of the real 2D cross-correlation"),
@@ -69,6 +103,79 @@ def test_filters_follow_the_papers() -> None:
     (mad,) = PRESETS["rc-obcls-paper"].filters
     assert (mad.name, mad.parameters["threshold"]) == ("mad", "mad")
     assert all(not PRESETS[name].refine for name in PRESETS if name.endswith("-paper"))
+
+
+FEATURE_FORMS = [name for name in PRESETS if name.endswith("-paper") and PRESETS[name].detector is not None]
+
+
+@pytest.mark.parametrize("method", FEATURE_FORMS)
+@pytest.mark.parametrize("blocks", [False, True])
+def test_no_short_cut_of_ours_is_in_a_published_form(method: str, blocks: bool) -> None:
+    """Images as they are, each feature in its own direction, matches where they were found, in blocks too."""
+    made = assemble(method, n_features=100, blocks=blocks)
+    matcher = made.matcher
+    assert isinstance(matcher, FeatureMatcher)
+    assert (matcher.pixels_per_feature, matcher.common_rotation) == (0, False)
+    assert (made.locate, made.refine) == (None, None)
+    # What depends on how large an image is, or how many features are asked for.
+    for name in ("skip", "thin", "coarse"):
+        assert not getattr(matcher.detector, name, False) or (method, name) == ("bfsift-paper", "skip")
+    assert type(matcher.descriptor).__name__ in {"Brief", "RatioGloh", "GaborOdd", "BfSiftDescriptor", "MaxIndexMap"}
+
+
+def test_the_published_direction_is_that_of_the_corner_before_it_moves(pair: SimulatedPair) -> None:
+    """ "The intensity centroid is used to compute the orientation of corners obtained by FAST": 2.3.2, before 2.3.3."""
+    image = as_image(pair.reference[:160, :170])
+    part = PRESETS["sar-orb-paper"].detector
+    assert part is not None
+    still, moved = (
+        registry.create("detector", part.name, **{**part.parameters, "n_features": 400, "subpixel": kind})
+        for kind in ("none", "corner")
+    )
+    found, places = moved.detect_features(image), still.detect_features(image)
+    np.testing.assert_array_equal(found.angle, places.angle)
+    assert (np.hypot(*(found.xy - places.xy).T) > 0.5).any()
+    seen = moved.oriented(image, moved.detect_places(image))
+    np.testing.assert_array_equal(seen.angle, found.angle)
+    edges = quantised_edges(image, 2.0, 0.01, eq5=True, clip=False).astype(np.float64)
+    dy, dx = np.mgrid[-15:16, -15:16]
+    inside = dx**2 + dy**2 <= 15**2
+    finest = np.flatnonzero(places.level == 0)
+    assert len(finest) > 20
+    for row in finest:
+        x, y = np.rint(places.xy[row]).astype(int)
+        disc = edges[y - 15 : y + 16, x - 15 : x + 16] * inside
+        assert places.angle[row] == pytest.approx(math.atan2(-(disc * dy).sum(), (disc * dx).sum()), abs=1e-9)
+
+
+def test_published_scales_are_computed_on_the_image_itself(pair: SimulatedPair) -> None:
+    image = as_image(pair.reference[:300, :310])
+    rows = [np.array([[150.2, 140.7], [155.0, 160.0]]), np.array([60.0, 118.0]), np.array([0.3, 2.0])]
+    points = Features(*rows, np.ones(2), np.zeros(2, np.int64))
+    parts = {name: PRESETS[name].descriptor for name in ("sar-sift-paper", "s-gof-paper")}
+    ratio, gabor = (registry.create("descriptor", p.name, **p.parameters) for p in parts.values() if p is not None)
+    # alpha = scale / 12, of the series 2 * 2^(k / 3): 5.04 and 10.08.
+    found = ratio.describe_features(image, points)
+    for row, alpha in enumerate((2 * 2 ** (4 / 3), 2 * 2 ** (7 / 3))):
+        field = GradientField(*ratio_gradients(image, alpha, 0.01))
+        wanted = normalised(gloh(field, *(column[row : row + 1] for column in rows), 4, 1 / 24, False))
+        np.testing.assert_allclose(found.descriptors[row], wanted[0], atol=1e-5)
+    small = replace(points, scale=np.array([5.0, 9.0]))
+    found = gabor.describe_features(image, small)
+    field = GradientField(*gabor_gradients(image, 2.0, 6))
+    wanted = normalised(gloh(field, rows[0], 6 * small.scale, rows[2], 4, 0.0625))
+    np.testing.assert_allclose(found.descriptors, wanted, atol=1e-5)
+    harris = PRESETS["sar-sift-paper"].detector
+    assert harris is not None
+    features = registry.create("detector", harris.name, **harris.parameters).detect_features(image)
+    alphas = 2 * 2 ** (np.arange(8) / 3)
+    np.testing.assert_allclose(features.scale, 12 * alphas[features.level], rtol=1e-9)
+    coarse = features.xy[features.level == 6]
+    assert len(coarse)
+    response = harris_response(*ratio_gradients(image, alphas[6], 0.01), math.sqrt(2) * alphas[6])
+    x, y = np.rint(coarse).astype(int).T
+    near = np.array([response[b - 1 : b + 2, a - 1 : a + 2].max() for a, b in zip(x, y, strict=True)])
+    np.testing.assert_allclose(features.score[features.level == 6], near, rtol=1e-4)
 
 
 def test_corners_take_their_direction_from_the_edges_where_the_paper_does(pair: SimulatedPair) -> None:

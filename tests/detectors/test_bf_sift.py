@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -74,6 +75,29 @@ def test_the_noise_is_that_of_the_speckle(looks: float, wanted: float) -> None:
     """
     speckle = np.sqrt(np.random.default_rng(0).gamma(looks, 1 / looks, (300, 300))).astype(np.float32)
     assert noise_level(as_image(speckle)) == pytest.approx(wanted, rel=0.05)
+
+
+def test_the_exact_filter_takes_the_noise_of_all_pixels() -> None:
+    """Of columns that look the same in pairs, of which some differences are seen and not others."""
+    picture = as_image(np.repeat(np.random.default_rng(0).gamma(2.0, size=(200, 100)), 2, axis=1))
+    view = log_amplitude(picture)
+    both = np.concatenate([np.abs(np.diff(view, axis=axis)).ravel() for axis in (0, 1)])
+    wanted = 1.4826 / math.sqrt(2) * np.median(both)
+    assert noise_level(picture, whole=True) == pytest.approx(wanted, rel=1e-6)
+    assert noise_level(picture) != pytest.approx(wanted, rel=1e-3)
+    level = bilateral_level(picture, BilateralSpace(tone=0.7, exact=True), 0)
+    np.testing.assert_array_equal(level, cv2.bilateralFilter(view, 5, 0.7 * wanted, 1.2))
+
+
+def test_further_directions_make_further_keypoints_at_the_same_places(sar_texture: Texture) -> None:
+    picture = as_image(sar_texture(150, 160))
+    one, more = (detect(picture, n_features=100_000, second=share) for share in (1.0, 0.8))
+    assert len(one) < len(more) < 2 * len(one)
+    assert {tuple(p) for p in one.xy} == {tuple(p) for p in more.xy}
+    assert {tuple(row) for row in zip(*one.xy.T, one.angle, strict=True)} <= {
+        tuple(row) for row in zip(*more.xy.T, more.angle, strict=True)
+    }
+    assert len(detect(picture, n_features=50, second=0.8)) == 50
 
 
 @pytest.mark.parametrize("exact", [True, False])

@@ -149,11 +149,11 @@ def normalised(rows: F32, root: bool = False) -> F32:
         if root:
             total = rows.sum(axis=1, keepdims=True)
             return np.asarray(np.sqrt(rows / np.where(total > 0, total, 1)), np.float32)
-        return _unit(np.minimum(_unit(rows), np.float32(CLIP)))
+        return unit_length(np.minimum(unit_length(rows), np.float32(CLIP)))
     if root:
-        unit = _unit(rows)
+        unit = unit_length(rows)
         length = unit[:, :CELLS]
-        return _unit(unit * np.tile(1 / np.sqrt(np.where(length > 0, length, 1)), rows.shape[1] // CELLS))
+        return unit_length(unit * np.tile(1 / np.sqrt(np.where(length > 0, length, 1)), rows.shape[1] // CELLS))
     from featreg.sar.keypoints import unit_kernels
 
     out = np.empty(rows.shape, np.float32)
@@ -171,7 +171,8 @@ def described(image: Image, features: Features, descriptors: F32) -> Features:
     return replace(features.take(index), descriptors=descriptors[index], norm="l2", index=index)
 
 
-def _unit(rows: F32) -> F32:
+def unit_length(rows: F32) -> F32:
+    """Return rows divided by their lengths; empty ones stay 0."""
     length = np.sqrt(np.einsum("ij,ij->i", rows, rows))
     return np.asarray(rows / np.where(length > 0, length, 1)[:, None], np.float32)
 

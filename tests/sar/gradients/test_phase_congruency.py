@@ -204,8 +204,24 @@ def test_the_noise_threshold_is_kovesis_of_speckle_alone(sar_texture: Texture) -
     tau = np.median(np.abs(responses(view, bank)[:, 0])) / math.sqrt(math.log(4))
     for deviations in (0.0, 2.0):
         wanted = tau * (1 + 1 / 3) * (math.sqrt(math.pi / 2) + deviations * math.sqrt((4 - math.pi) / 2))
-        assert _noise(view, valid, bank, deviations) == pytest.approx(wanted, rel=0.05)
-    assert _noise(view, ~valid, bank, 1.0) == 0
+        found = _noise(view, valid, bank, Congruency(noise=deviations))
+        assert found == pytest.approx(np.full(4, wanted), rel=0.05)
+    assert not _noise(view, ~valid, bank, Congruency(noise=1.0)).any()
+
+
+def test_the_published_noise_threshold_is_that_of_all_pixels_of_each_orientation() -> None:
+    """Speckle that runs along x, whose orientations differ."""
+    from featreg.sar.gradients.phase_congruency import _noise
+
+    bank = LogGabor(2, 4, 3.0, 1.6, 0.75)
+    view = np.random.default_rng(0).normal(size=(120, 150)).astype(np.float32)
+    view[:, 1:] += 0.9 * view[:, :-1]
+    valid = np.arange(150) > 60 + np.zeros((120, 1))
+    middle = np.median(np.abs(responses(view, bank)[:, 0])[:, valid], axis=1)
+    wanted = middle / math.sqrt(math.log(4)) * (1 + 1 / 1.6) * (math.sqrt(math.pi / 2) + math.sqrt((4 - math.pi) / 2))
+    found = _noise(view, valid, bank, Congruency(noise=1.0, exact=True))
+    np.testing.assert_allclose(found, wanted, rtol=1e-3)
+    assert found.max() > 1.2 * found.min()
 
 
 def test_maps_are_quantised_by_their_valid_pixels() -> None:
