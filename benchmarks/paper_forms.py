@@ -28,6 +28,7 @@ FORMS: Mapping[str, tuple[str, Mapping[str, Any]]] = {
     "bfsift-paper": ("bfsift-paper", {}),
     "s-gof-paper": ("s-gof-paper", {}),
     "m-gof-paper": ("m-gof-paper", {}),
+    "rift-paper": ("rift-paper", {}),
 }  # fmt: skip
 
 

@@ -41,7 +41,8 @@ class PhaseCongruency(Detector):
     noise : standard deviations above the mean noise energy that counts as structure
     floor : added to the sum of amplitudes, see `featreg.sar.gradients.phase_congruency`
     view : "soft-log" or "amplitude", what is filtered
-    exact : take the noise of each orientation from all pixels, as the paper does, instead of one for all from some
+    exact : take the noise of each orientation from all pixels, as the paper does, instead of one for all from some, and
+        quantise a moment by its greatest value, instead of the 99th percentile of some
 
     Notes
     -----
@@ -85,7 +86,8 @@ class PhaseCongruency(Detector):
         allowed = clear(without_rim(image), self.support)
         if not allowed.any():
             return Features.empty()
-        maps = [bytes_of(moment, valid) for moment in (smallest, largest)]
+        most = 1.0 if self.exact else 0.99
+        maps = [bytes_of(moment, valid, most, whole=self.exact) for moment in (smallest, largest)]
         found = [fast_corners(moment, self.threshold, allowed, self.n_features) for moment in maps]
         corners, edges = (len(score) for _, score in found)
         first = min(corners, max(round(self.corner_share * self.n_features), self.n_features - edges))

@@ -75,6 +75,7 @@ SAID: list[tuple[str, str, str, Any, str]] = [
     ("rift-paper", "detector", "scales", 4, "N_s = 4"),
     ("rift-paper", "detector", "orientations", 6, "N_o = 6"),
     ("rift-paper", "detector", "exact", True, "T_o, the noise of each orientation"),
+    ("rift-paper", "detector", "threshold", 13, "0.05 of the greatest moment, in the authors' program"),
     ("rift-paper", "descriptor", "exact", True, "the maps of the detector"),
     ("rift-paper", "descriptor", "patch", 96.0, "a patch of J = 96"),
     ("rift-paper", "descriptor", "grid", 6, "6 x 6 sub-grids"),

@@ -218,7 +218,8 @@ SAR: Mapping[str, Preset] = {
     ),
     "rift-paper": Preset(
         "RIFT as in Li, Hu and Ai 2020, made rotation invariant as in RIFT2",
-        detector=Part("phase-congruency", {**_PAPER_CONGRUENCY, "subpixel": "none"}),
+        # The least contrast is that of the authors' program, 0.05 of the greatest moment.
+        detector=Part("phase-congruency", {**_PAPER_CONGRUENCY, "subpixel": "none", "threshold": 13}),
         descriptor=Part("max-index-map", _PAPER_INDEX_MAP),
         nearest=Part("brute-force", {"mutual": False}),
         filters=(Part("fsc"),),

@@ -102,11 +102,14 @@ def without_rim(image: Image) -> Image:
     return image.derive(_without_rim) or image
 
 
-def bytes_of(strength: F32, valid: BoolArray, quantile: float = 0.99) -> U8:
-    """Return a map in (H, W) uint8, 255 standing for a quantile of its valid pixels and all above; zero if that is."""
+def bytes_of(strength: F32, valid: BoolArray, quantile: float = 0.99, *, whole: bool = False) -> U8:
+    """Return a map in (H, W) uint8, 255 standing for a quantile of its valid pixels and all above; zero if that is.
+
+    Of about 5000 of them, unless `whole`.
+    """
     import cv2
 
-    step = max(1, min(strength.shape) // SAMPLE)
+    step = 1 if whole else max(1, min(strength.shape) // SAMPLE)
     sample = strength[::step, ::step][valid[::step, ::step]]
     top = float(np.quantile(sample, quantile)) if sample.size else 0.0
     if not top > 0:

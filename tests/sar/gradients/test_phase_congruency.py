@@ -229,6 +229,12 @@ def test_maps_are_quantised_by_their_valid_pixels() -> None:
     valid = np.ones(strength.shape, np.bool_)
     valid[50:] = False
     assert bytes_of(strength, valid, 1.0)[49, 99] == 255
+    # A single bright pixel that is not among those looked at.
+    ship = np.ones((150, 150), np.float32)
+    ship[1, 1] = 50
+    everywhere = np.ones(ship.shape, np.bool_)
+    assert (bytes_of(ship, everywhere, 1.0) == 255).all()
+    assert (bytes_of(ship, everywhere, 1.0, whole=True) == 255).sum() == 1
     assert int(bytes_of(strength, valid, 1.0)[25, 0]) == pytest.approx(127, abs=3)
     assert not bytes_of(np.zeros_like(strength), valid).any()
 
