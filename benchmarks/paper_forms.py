@@ -26,6 +26,7 @@ FORMS: Mapping[str, tuple[str, Mapping[str, Any]]] = {
     "sar-sift-paper": ("sar-sift-paper", {}),
     "the same, one direction a point": ("sar-sift-paper", {"detector.second": 1.0}),
     "bfsift-paper": ("bfsift-paper", {}),
+    "the same, without the finest octave": ("bfsift-paper", {"detector.skip": 3}),
     "s-gof-paper": ("s-gof-paper", {}),
     "m-gof-paper": ("m-gof-paper", {}),
     "rift-paper": ("rift-paper", {}),

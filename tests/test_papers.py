@@ -124,15 +124,16 @@ def test_no_short_cut_of_ours_is_in_a_published_form(method: str, blocks: bool) 
     assert type(matcher.descriptor).__name__ in {"Brief", "RatioGloh", "GaborOdd", "BfSiftDescriptor", "MaxIndexMap"}
 
 
+def part(method: str, role: str, **changed: Any) -> Any:
+    """A part of a published form as the form has it."""
+    found = getattr(PRESETS[method], role)
+    return registry.create(role, found.name, **{**found.parameters, **changed})  # type: ignore[call-overload]  # any role
+
+
 def test_the_published_direction_is_that_of_the_corner_before_it_moves(pair: SimulatedPair) -> None:
     """ "The intensity centroid is used to compute the orientation of corners obtained by FAST": 2.3.2, before 2.3.3."""
     image = as_image(pair.reference[:160, :170])
-    part = PRESETS["sar-orb-paper"].detector
-    assert part is not None
-    still, moved = (
-        registry.create("detector", part.name, **{**part.parameters, "n_features": 400, "subpixel": kind})
-        for kind in ("none", "corner")
-    )
+    still, moved = (part("sar-orb-paper", "detector", n_features=400, subpixel=kind) for kind in ("none", "corner"))
     found, places = moved.detect_features(image), still.detect_features(image)
     np.testing.assert_array_equal(found.angle, places.angle)
     assert (np.hypot(*(found.xy - places.xy).T) > 0.5).any()
@@ -151,32 +152,30 @@ def test_the_published_direction_is_that_of_the_corner_before_it_moves(pair: Sim
 
 def test_published_scales_are_computed_on_the_image_itself(pair: SimulatedPair) -> None:
     image = as_image(pair.reference[:300, :310])
-    rows = [np.array([[150.2, 140.7], [155.0, 160.0]]), np.array([60.0, 118.0]), np.array([0.3, 2.0])]
-    points = Features(*rows, np.ones(2), np.zeros(2, np.int64))
-    parts = {name: PRESETS[name].descriptor for name in ("sar-sift-paper", "s-gof-paper")}
-    ratio, gabor = (registry.create("descriptor", p.name, **p.parameters) for p in parts.values() if p is not None)
+    xy, angle = np.array([[150.2, 140.7], [155.0, 160.0]]), np.array([0.3, 2.0])
     # alpha = scale / 12, of the series 2 * 2^(k / 3): 5.04 and 10.08.
-    found = ratio.describe_features(image, points)
-    for row, alpha in enumerate((2 * 2 ** (4 / 3), 2 * 2 ** (7 / 3))):
-        field = GradientField(*ratio_gradients(image, alpha, 0.01))
-        wanted = normalised(gloh(field, *(column[row : row + 1] for column in rows), 4, 1 / 24, False))
-        np.testing.assert_allclose(found.descriptors[row], wanted[0], atol=1e-5)
+    points = Features(xy, np.array([60.0, 118.0]), angle, np.ones(2), np.zeros(2, np.int64))
+    found = part("sar-sift-paper", "descriptor").describe_features(image, points).descriptors
+    for n, alpha in enumerate((2 * 2 ** (4 / 3), 2 * 2 ** (7 / 3))):
+        field, one = GradientField(*ratio_gradients(image, alpha, 0.01)), points.take(np.array([n]))
+        wanted = normalised(gloh(field, one.xy, one.scale, one.angle, 4, 1 / 24, False))
+        np.testing.assert_allclose(found[n : n + 1], wanted, atol=1e-5)
     small = replace(points, scale=np.array([5.0, 9.0]))
-    found = gabor.describe_features(image, small)
     field = GradientField(*gabor_gradients(image, 2.0, 6))
-    wanted = normalised(gloh(field, rows[0], 6 * small.scale, rows[2], 4, 0.0625))
-    np.testing.assert_allclose(found.descriptors, wanted, atol=1e-5)
-    harris = PRESETS["sar-sift-paper"].detector
-    assert harris is not None
-    features = registry.create("detector", harris.name, **harris.parameters).detect_features(image)
+    np.testing.assert_allclose(
+        part("s-gof-paper", "descriptor").describe_features(image, small).descriptors,
+        normalised(gloh(field, xy, 6 * small.scale, angle, 4, 0.0625)),
+        atol=1e-5,
+    )
+    features = part("sar-sift-paper", "detector").detect_features(image)
     alphas = 2 * 2 ** (np.arange(8) / 3)
     np.testing.assert_allclose(features.scale, 12 * alphas[features.level], rtol=1e-9)
-    coarse = features.xy[features.level == 6]
-    assert len(coarse)
+    coarse = features.level == 6
+    assert coarse.any()
     response = harris_response(*ratio_gradients(image, alphas[6], 0.01), math.sqrt(2) * alphas[6])
-    x, y = np.rint(coarse).astype(int).T
-    near = np.array([response[b - 1 : b + 2, a - 1 : a + 2].max() for a, b in zip(x, y, strict=True)])
-    np.testing.assert_allclose(features.score[features.level == 6], near, rtol=1e-4)
+    x, y = np.rint(features.xy[coarse]).astype(int).T
+    near = [response[b - 1 : b + 2, a - 1 : a + 2].max() for a, b in zip(x, y, strict=True)]
+    np.testing.assert_allclose(features.score[coarse], near, rtol=1e-4)
 
 
 def test_corners_take_their_direction_from_the_edges_where_the_paper_does(pair: SimulatedPair) -> None:
