@@ -1,11 +1,12 @@
 """Time and memory of a scene pair in blocks, against its area and the number of workers.
 
-    python benchmarks/scene.py OUT [--sizes 2500x2750,5000x5500] [--workers 1,2] [--block 600] [--method sar-orb]
+    python benchmarks/scene.py OUT [--sizes 2500x2750,5000x5500] [--workers 1,2] [--block PX] [--method sar-orb]
+        [--rounds 3]
 
 Simulates each pair once (kept in OUT), then runs `featreg match` on it as a user would and measures from outside: wall
 time, processor time of all processes, also of a megapixel over that of OpenCV's ORB on the first megapixel (median and
-quartiles of three tries), largest proportional memory of the command and of all its processes together (Linux only),
-and the error of the model on the truth.
+quartiles over the rounds and the tries of ORB before and after each), largest proportional memory of the command and of
+all its processes together (Linux only), and the error of the model on the truth.
 """
 
 from __future__ import annotations
@@ -106,15 +107,19 @@ def orb_seconds(place: Path) -> list[float]:
     return taken[1:]
 
 
-def measured(place: Path, workers: int, block: int, method: str) -> dict[str, Any]:
-    """Run the command on a pair; what it took and how well it did."""
+def measured(place: Path, workers: int, block: int | None, method: str, rounds: int = 1) -> dict[str, Any]:
+    """Run the command on a pair, ORB before and after it; what it took and how well it did."""
     out = place / "result.json"
     images = [str(place / "reference.tif"), str(place / "secondary.tif")]
     command = ["match", *images, "--dem", str(place / "dem.tif")]
-    command += ["--model", "rpc-bias", "--block", str(block), "--workers", str(workers), "--json", str(out)]
-    command += ["--method", method]
-    yardstick = orb_seconds(place)
-    figures = run_measured(command)
+    command += ["--model", "rpc-bias", "--workers", str(workers), "--json", str(out), "--method", method]
+    command += [] if block is None else ["--block", str(block)]
+    yardstick, runs = orb_seconds(place), []
+    for _ in range(rounds):
+        runs.append(run_measured(command))
+        yardstick += orb_seconds(place)
+    runs.sort(key=lambda run: float(run["processor s"]))
+    figures, seconds = runs[len(runs) // 2], np.array([run["processor s"] for run in runs])
     result = Registration.from_json(out)
     if result.reference is None:
         raise SystemExit(f"{out} does not say the size of its reference")
@@ -123,13 +128,14 @@ def measured(place: Path, workers: int, block: int, method: str) -> dict[str, An
     grid = np.column_stack([x.ravel(), y.ravel()])
     off = np.zeros(1) if not result.model else result.model(grid) - read_scene_truth(place / "truth.json")(grid)
     blocks = result.provenance["blocks"]["total"]
-    ratio = np.percentile(figures["processor s"] / (width * height / 1e6) / np.array(yardstick), [50, 25, 75])
+    ratio = np.percentile(np.divide.outer(seconds / (width * height / 1e6), np.array(yardstick)), [50, 25, 75])
     return {
         "size": f"{height} x {width}",
         "method": method,
         "status": result.status,
         "workers": workers,
         "blocks": blocks,
+        "px a block": result.provenance["blocks"]["size"],
         **figures,
         "ms a block": round(1000 * sum(result.provenance["block_seconds"].values()) / blocks, 1),
         "a megapixel over ORB's (quartiles)": "{:.2f} ({:.2f} to {:.2f})".format(*ratio),
@@ -144,8 +150,9 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--sizes", default="2500x2750,5000x5500")
     parser.add_argument("--workers", default="1,2")
-    parser.add_argument("--block", type=int, default=600)
+    parser.add_argument("--block", type=int, help="side of a block, px; what suits the scene where not given")
     parser.add_argument("--method", default="sar-orb")
+    parser.add_argument("--rounds", type=int, default=3)
     given = parser.parse_args()
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     cv2.setNumThreads(1)
@@ -154,7 +161,7 @@ def main() -> None:
         place = pair(given.out, rows, cols)
         measured(place, 1, given.block, given.method)  # compiled kernels and page cache
         for workers in given.workers.split(","):
-            print(json.dumps(measured(place, int(workers), given.block, given.method)), flush=True)
+            print(json.dumps(measured(place, int(workers), given.block, given.method, given.rounds)), flush=True)
 
 
 if __name__ == "__main__":
