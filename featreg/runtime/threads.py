@@ -77,7 +77,7 @@ def single_threaded() -> AbstractContextManager[None]:
 
 @contextmanager
 def limited_threads(count: int | None, algebra: int | None = None) -> Iterator[None]:
-    """Let the libraries use at most `count` threads inside the block; None leaves them alone.
+    """Let this package and the libraries use at most `count` threads inside the block; None leaves the libraries alone.
 
     `algebra` is the limit of the linear algebra where it is to be another.
 
@@ -92,7 +92,7 @@ def limited_threads(count: int | None, algebra: int | None = None) -> Iterator[N
     team = _Team(size) if size > 1 else None
     token = _team.set(team)
     try:
-        with nullcontext() if count is None else opencv_threads(count):
+        with nullcontext() if count is None else opencv_threads(size):
             yield
     finally:
         _team.reset(token)

@@ -63,6 +63,7 @@ def test_work_runs_side_by_side_only_where_threads_were_asked_for(monkeypatch: p
     monkeypatch.setattr(threads, "available_processors", lambda: 2)
     before = threading.active_count()
     with limited_threads(5):
+        assert cv2.getNumThreads() == 2
         (first, one, inner), (second, two, other) = side_by_side([lambda: met("a"), lambda: met("b")])
         assert (first, second) == ("a", "b")
         # The thread that asks takes part, nothing is divided further inside, and no more run than there are processors.
