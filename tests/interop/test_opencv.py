@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 import featreg.interop.opencv as featreg_opencv
 from featreg import registry
-from featreg.errors import InputError, ParameterError, PluginUnavailableError
-from featreg.runtime.threads import single_threaded
 from featreg.sar.normalise import to_uint8
 from featreg.types import Features, Image
 
@@ -67,49 +65,6 @@ def same(a: Features, b: Features) -> bool:
 def nearest(xy: NDArray[np.float64], to: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     distance = np.hypot(*(xy[:, None] - to[None]).transpose(2, 0, 1))
     return distance.argmin(axis=1), distance.min(axis=1)
-
-
-class TestKeypoints:
-    def test_round_trip(self) -> None:
-        rng = np.random.default_rng(1)
-        given = Features(
-            xy=rng.uniform(0, 500, (50, 2)).astype(np.float32),
-            scale=rng.uniform(1, 40, 50).astype(np.float32),
-            angle=rng.uniform(0, 2 * np.pi, 50),
-            score=rng.normal(size=50).astype(np.float32),
-            level=rng.integers(-1, 9, 50),
-        )
-        back = Features.from_keypoints(given.to_keypoints())
-        for name in ("xy", "scale", "score", "level"):
-            np.testing.assert_array_equal(getattr(back, name), getattr(given, name))
-        np.testing.assert_allclose(back.angle, given.angle, atol=1e-6)
-
-    def test_size_is_the_diameter_and_angles_turn_the_other_way(self) -> None:
-        features = Features.from_keypoints([cv2.KeyPoint(3.0, 4.0, 31.0, 90.0, 0.5, 2, 7), cv2.KeyPoint(1.0, 2.0, 7.0)])
-        np.testing.assert_allclose(features.scale, [15.5, 3.5])
-        np.testing.assert_allclose(features.angle, [1.5 * np.pi, 0.0])
-        assert [k.angle for k in features.to_keypoints()] == [90.0, 0.0]
-
-    def test_the_low_byte_of_sifts_packed_octave_is_the_level(self) -> None:
-        packed = 255 | (2 << 8) | (130 << 16)
-        assert Features.from_keypoints([cv2.KeyPoint(1.0, 1.0, 2.0, 0.0, 1.0, packed)]).level.tolist() == [-1]
-
-    def test_an_angle_just_below_a_full_turn_stays_in_range(self) -> None:
-        features = Features.from_keypoints([cv2.KeyPoint(1.0, 1.0, 2.0, 1e-9), cv2.KeyPoint(1.0, 1.0, 2.0, 1e-30)])
-        assert ((features.angle >= 0) & (features.angle < 2 * np.pi)).all()
-        assert all(0 <= k.angle < 360 for k in features.to_keypoints())
-
-    def test_nothing(self) -> None:
-        assert len(Features.from_keypoints([])) == 0
-        assert len(Features.from_keypoints((), None)) == 0
-        assert Features.empty().to_keypoints() == []
-
-    def test_descriptor_type_decides_the_norm(self) -> None:
-        keypoints = [cv2.KeyPoint(1.0, 1.0, 2.0)]
-        assert Features.from_keypoints(keypoints, np.zeros((1, 32), np.uint8)).norm == "hamming"
-        assert Features.from_keypoints(keypoints, np.zeros((1, 64), np.float64)).norm == "l2"
-        with pytest.raises(InputError, match="descriptors"):
-            Features.from_keypoints(keypoints, np.zeros((2, 64), np.float32))
 
 
 class TestLikeOpenCV:
@@ -360,106 +315,3 @@ class TestInput:
 
     def test_the_gain_drops_out(self) -> None:
         assert same(detect("fast", image(sar_like())), detect("fast", image(sar_like() * 1024.0)))
-
-
-class TestNormalise:
-    def test_8_bit_sources_are_left_alone(self) -> None:
-        grey, picture = eight_bit()
-        np.testing.assert_array_equal(to_uint8(picture), grey)
-        assert to_uint8(image(grey // 4, dtype="uint8")).max() < 64
-        assert to_uint8(image(grey // 4, dtype="uint8"), method="linear-stretch").max() == 255
-
-    def test_the_logarithm_runs_between_the_percentiles(self) -> None:
-        pixels = np.exp(np.linspace(0.0, 10.0, 101 * 50)).reshape(101, 50)
-        stretched = to_uint8(image(pixels)).astype(float)
-        expected = np.clip((np.log(pixels) - 0.1) / 9.8 * 255.0, 0.0, 255.0)
-        assert np.abs(stretched - expected).max() < 1.5
-        linear = to_uint8(image(np.log(pixels)), method="linear-stretch").astype(float)
-        assert np.abs(linear - expected).max() < 1.5
-
-    def test_zeros_become_zero(self) -> None:
-        pixels = sar_like()
-        pixels[:50] = 0.0
-        grey = to_uint8(image(pixels))
-        assert not grey[:50].any()
-        assert np.median(grey[50:]) > 50
-
-    def test_invalid_pixels(self) -> None:
-        mask = np.ones((200, 200), bool)
-        mask[:100] = False
-        picture = image(sar_like(), mask)
-        assert not to_uint8(picture)[:100].any()
-        filled = to_uint8(picture, fill="median")
-        assert np.unique(filled[:100]).size == 1
-        assert abs(int(filled[0, 0]) - np.median(filled[100:])) <= 3
-
-    @pytest.mark.parametrize("method", ["auto", "log-stretch", "linear-stretch"])
-    def test_constant_and_empty_images_are_zero(self, method: str) -> None:
-        for value in (0.0, 7.0):
-            assert not to_uint8(image(np.full((20, 30), value)), method=method).any()
-        assert not to_uint8(image(np.ones((20, 30)), np.zeros((20, 30), bool)), method=method).any()
-
-    def test_a_lone_valid_corner_is_found(self) -> None:
-        mask = np.zeros((600, 600), bool)
-        mask[1:3, 1:40] = True
-        assert to_uint8(image(sar_like(600, 600), mask))[mask].any()
-
-    def test_what_it_refuses(self) -> None:
-        with pytest.raises(ParameterError, match="unknown normalise method"):
-            to_uint8(image(sar_like()), method="log")
-        with pytest.raises(ParameterError, match="8-bit source"):
-            to_uint8(image(sar_like()), method="identity")
-        with pytest.raises(ParameterError, match="fill"):
-            to_uint8(image(sar_like()), fill="mean")
-
-
-class TestTable:
-    def test_names(self) -> None:
-        assert {"akaze", "agast", "brisk", "fast", "gftt", "kaze", "mser", "orb", "sift", "star"} <= set(DETECTORS)
-        assert {"akaze", "brisk", "freak", "kaze", "latch", "opencv-brief", "orb", "sift", "vgg"} <= set(DESCRIPTORS)
-        assert all(e.summary for e in (*DETECTORS.values(), *DESCRIPTORS.values()))
-
-    def test_surf_names_reason_and_cure(self) -> None:
-        if not DETECTORS["surf"].unavailable:
-            pytest.skip("this OpenCV was built with its patented algorithms")
-        with pytest.raises(PluginUnavailableError, match=r"patented.*use 'sift'"):
-            registry.create("detector", "surf")
-
-    def test_doctor_knows_where_everything_is(self) -> None:
-        found = featreg_opencv.homes()
-        assert found["ORB"] == "cv2"
-        assert found["AKAZE"] == ("cv2" if hasattr(cv2, "AKAZE_create") else "cv2.xfeatures2d")
-        from featreg.descriptors import opencv as descriptors
-        from featreg.detectors import opencv as detectors
-        from featreg.detectors import opencv_networks as networks
-        from featreg.matchers import opencv as matchers
-
-        tables = (detectors.TABLE, descriptors.TABLE, networks.TABLE, matchers.TABLE)
-        assert {row.creator for table in tables for row in table.values()} == set(found)
-
-    def test_an_opencv_without_contrib_says_so(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.delattr(cv2, "xfeatures2d")
-        assert "contrib" in featreg_opencv.unavailable("FREAK")
-        assert featreg_opencv.unavailable("ORB") == ""
-        assert "has no" in featreg_opencv.unavailable("NoSuchThing") or "contrib" in featreg_opencv.unavailable("No")
-
-    def test_what_is_refused(self) -> None:
-        for name, given, text in (
-            ("orb", {"n_featurs": 5}, "did you mean 'n_features'"),
-            ("orb", {"n_features": 0}, "at least 1"),
-            ("orb", {"n_features": "many"}, "a whole number"),
-            ("orb", {"score_type": "best"}, "'harris' or 'fast'"),
-            ("sift", {"normalise": "log"}, "log-stretch"),
-            ("sift", {"enable_precise_upscale": 1}, "true or false"),
-        ):
-            with pytest.raises(ParameterError, match=text):
-                registry.create("detector", name, **given)
-        assert registry.create("detector", "sift", sigma=2) == registry.create("detector", "sift", sigma=2.0)
-        with pytest.raises(InputError, match="OpenCV's ORB refuses"):
-            detect("orb", image(sar_like()), patch_size=-3)
-
-    def test_one_thread_inside_the_block(self) -> None:
-        before = cv2.getNumThreads()
-        with single_threaded():
-            assert cv2.getNumThreads() == 1
-        assert cv2.getNumThreads() == before
