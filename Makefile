@@ -11,9 +11,9 @@ WORKERS ?= 2
 EXTRAS ?= dev
 OPENCV4 := .opencv4
 # Registry, methods and plugins: what depends on OpenCV and on the version of Python.
-PLUGIN_TESTS := tests/test_registry.py tests/test_presets.py tests/interop/test_opencv.py tests/interop/test_opencv_keypoints.py \
-                tests/interop/test_opencv_table.py \
-	tests/interop/test_opencv_networks.py tests/detectors tests/descriptors tests/matchers
+PLUGIN_TESTS := tests/test_registry.py tests/test_presets.py tests/interop/test_opencv.py \
+	tests/interop/test_opencv_keypoints.py tests/interop/test_opencv_table.py tests/interop/test_opencv_networks.py \
+	tests/detectors tests/descriptors tests/matchers
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
 .PHONY: demo test test-fast test-opencv4 test-python lint docs bench kernels table2 table3 figures clean

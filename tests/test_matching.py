@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 import featreg
 from featreg import registry
-from featreg.errors import InputError, ParameterError, UnknownNameError
-from featreg.geometry import Affine, Similarity
+from featreg.errors import InputError, ParameterError
+from featreg.geometry import Affine
 from featreg.interfaces import Matcher
 from featreg.pipeline.assembly import assemble
 from featreg.pipeline.feature_matcher import FeatureMatcher
@@ -225,102 +225,6 @@ def test_narrow_images_do_not_break(shape: tuple[int, int]) -> None:
         assert found.status in ("ok", "unreliable")
 
 
-# Keywords
-
-
-def test_a_misspelt_keyword_suggests_the_right_one(pair: SimulatedPair) -> None:
-    for wrong, right in (
-        ("treshold", "threshold"),
-        ("n_feature", "n_features"),
-        ("detektor", "detector"),
-        ("quota_decy", "quota_decay"),
-    ):
-        with pytest.raises(ParameterError, match=f"'{right}'"):
-            run(pair, **{wrong: 3})
-
-
-def test_a_keyword_of_two_parts_names_both(pair: SimulatedPair) -> None:
-    with pytest.raises(ParameterError) as caught:
-        run(pair, threshold=3)
-    assert "detector.threshold" in str(caught.value)
-    assert "fsc.threshold" in str(caught.value)
-
-
-def test_a_keyword_with_its_part_reaches_only_that_part(pair: SimulatedPair) -> None:
-    parameters = run(pair, **{"fsc.threshold": 1.5, "detector.threshold": 20}).provenance["parameters"]
-    assert parameters["fsc"]["threshold"] == 1.5
-    assert parameters["detector"]["threshold"] == 20
-    with pytest.raises(ParameterError, match=r"nobody\.threshold"):
-        run(pair, **{"nobody.threshold": 1})
-    with pytest.raises(ParameterError, match=r"gms\.threshold"):
-        run(pair, **{"gms.threshold": 1})
-
-
-def test_a_keyword_of_one_part_needs_no_prefix(pair: SimulatedPair) -> None:
-    parameters = run(pair, alpha=3.0, grid=15, half=20, least_inliers=20).provenance["parameters"]
-    assert parameters["detector"]["alpha"] == 3.0
-    assert parameters["gms"]["grid"] == 15
-    assert parameters["refinement"]["half"] == 20
-    assert parameters["trust"]["least_inliers"] == 20
-
-
-def test_the_features_of_the_detector_alone_can_be_limited(pair: SimulatedPair) -> None:
-    """What a user writes is obeyed or refused, never dropped."""
-    found = run(pair, refine=False, **{"detector.n_features": 150})
-    assert found.provenance["parameters"]["detector"]["n_features"] == 150
-    assert np.count_nonzero(found.matches.origin < 0) <= 150
-
-
-def test_parts_are_replaced_by_name_or_object(pair: SimulatedPair) -> None:
-    by_name = run(pair, detector="fast", descriptor="brief", filters=["gms", "ransac"])
-    assert list(by_name.stages)[:2] == ["gms", "ransac"]
-    assert by_name.provenance["parameters"]["detector"]["name"] == "fast"
-    by_object = run(
-        pair, detector=registry.create("detector", "fast"), filters=["gms", registry.create("filter", "ransac")]
-    )
-    np.testing.assert_array_equal(by_object.matches.reference_xy, by_name.matches.reference_xy)
-    assert by_object.status == by_name.status == "ok"
-
-
-@pytest.mark.parametrize(
-    ("keywords", "error"),
-    [
-        ({"method": "sar-orbs"}, UnknownNameError),
-        ({"model": "afine"}, UnknownNameError),
-        ({"detector": "fats"}, UnknownNameError),
-        ({"filters": ["gsm"]}, UnknownNameError),
-        ({"filters": ["gms", "gms"]}, ParameterError),
-        ({"detector": 3}, ParameterError),
-        ({"descriptor": registry.create("nearest", "brute-force")}, ParameterError),
-        ({"filters": [3]}, ParameterError),
-        ({"seed": -1}, ParameterError),
-        ({"seed": 1.5}, ParameterError),
-        ({"n_features": 0}, ParameterError),
-        ({"n_features": 10.5}, ParameterError),
-        ({"scale": "decibel"}, ParameterError),
-        ({"alpha": "wide"}, ParameterError),
-        ({"half": "wide"}, ParameterError),
-        ({"least_spread": "wide"}, ParameterError),
-        ({"search_radius": 5.0}, ParameterError),
-        ({"initial": np.eye(3)}, ParameterError),
-        ({"initial": np.eye(3), "search_radius": -2.0}, ParameterError),
-        ({"initial": np.eye(4), "search_radius": 2.0}, InputError),
-        ({"initial": {"a": 1}, "search_radius": 2.0}, ParameterError),
-        ({"reference_mask": np.ones((5, 5))}, InputError),
-    ],
-    ids=str,
-)
-def test_misuse_raises_from_our_tree(pair: SimulatedPair, keywords: dict[str, Any], error: type[Exception]) -> None:
-    with pytest.raises(error) as caught:
-        run(pair, **keywords)
-    assert "\n" not in str(caught.value)
-
-
-def test_numpy_numbers_are_numbers(pair: SimulatedPair) -> None:
-    found = run(pair, n_features=np.int64(300), seed=np.int64(1))
-    assert found.inliers.sum() <= 300
-
-
 def test_a_masked_or_switched_off_refinement_still_checks_its_keywords(pair: SimulatedPair) -> None:
     with pytest.raises(ParameterError):
         run(pair, refine=False, half=1)
@@ -398,51 +302,6 @@ def test_a_failed_result_is_no_initial_model(pair: SimulatedPair) -> None:
 def test_a_wrong_initial_model_gives_no_confident_result(pair: SimulatedPair) -> None:
     found = run(pair, initial=[[1, 0, 80.0], [0, 1, 60.0]], search_radius=3.0)
     assert found.status == "unreliable"
-
-
-# The user's own tie points
-
-
-def own_points(truth: NDArray[np.float64], good: int = 60, bad: int = 20) -> NDArray[np.float64]:
-    rng = np.random.default_rng(0)
-    here = rng.uniform(0, 500, (good + bad, 2))
-    there = here @ truth[:, :2].T + truth[:, 2] + rng.normal(0, 0.2, here.shape)
-    there[good:] += rng.uniform(20, 60, (bad, 2))
-    return np.column_stack([here, there])
-
-
-@pytest.mark.parametrize("form", ["array", "matches", "list"])
-def test_fit_finds_the_model_of_the_users_points(pair: SimulatedPair, form: str) -> None:
-    rows = own_points(pair.truth)
-    points = {"array": rows, "matches": Matches(rows[:, :2], rows[:, 2:], np.ones(80)), "list": rows.tolist()}[form]
-    found = featreg.fit(points, model="affine", reference_shape=(500, 500), secondary_shape=(520, 520))
-    assert found.status == "ok", found.reason
-    assert found.stages["fsc"][:60].all()
-    assert not found.stages["fsc"][60:].any()
-    assert grid_rmse(found, pair.truth, 500) < 0.3
-
-
-def test_fit_without_filters_takes_all_points(pair: SimulatedPair) -> None:
-    rows = own_points(pair.truth, 40, 0)
-    found = featreg.fit(rows, model="similarity", filters=())
-    assert dict(found.stages) == {}
-    assert isinstance(found.model, Similarity)
-    assert found.inliers.sum() == 40
-
-
-@pytest.mark.parametrize("count", [0, 1, 2])
-def test_fit_of_too_few_points_is_unreliable(count: int) -> None:
-    rows = np.arange(4.0 * count).reshape(count, 4) if count else np.zeros((0, 4))
-    found = featreg.fit(rows, model="affine")
-    assert found.status == "unreliable"
-    assert found.reason
-    assert not found.model
-
-
-@pytest.mark.parametrize("points", [np.zeros((5, 3)), np.zeros(4), "points", np.full((5, 4), np.nan)])
-def test_fit_refuses_what_are_no_tie_points(points: Any) -> None:
-    with pytest.raises(InputError):
-        featreg.fit(points)
 
 
 # Real images
