@@ -9,6 +9,7 @@ import typer
 
 from featreg.cli import completion
 from featreg.cli.options import check_name, check_output
+from featreg.cli.result_options import ReferenceOption, SecondaryOption
 
 #: Held beside `featreg.exports.formats` by a test, so that help needs no import of it.
 NAMES = ("csv", "parquet", "gdal", "qgis", "envi", "colmap", "rpc", "geojson", "gpkg", "geoparquet")
@@ -42,14 +43,8 @@ def export(
     stage: Annotated[
         str, typer.Option("--stage", metavar="NAME", help="Which tie points: inliers, a filter's name, or all.")
     ] = "inliers",
-    reference: Annotated[
-        str | None,
-        typer.Option("--reference", metavar="REF", help="Where the reference is now.", show_default="as in the result"),
-    ] = None,
-    secondary: Annotated[
-        str | None,
-        typer.Option("--secondary", metavar="SEC", help="Where the secondary is now.", show_default="as in the result"),
-    ] = None,
+    reference: ReferenceOption = None,
+    secondary: SecondaryOption = None,
 ) -> None:
     """Write the tie points for another program.
 

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from featreg.cli.options import check_output
+from featreg.cli.result_options import ReferenceOption, SecondaryOption
 
 
 def view(
@@ -21,14 +22,8 @@ def view(
             "--output", "-o", metavar="FILE.html", help="Page to write.", show_default="one in a temporary folder"
         ),
     ] = None,
-    reference: Annotated[
-        str | None,
-        typer.Option("--reference", metavar="REF", help="Where the reference is now.", show_default="as in the result"),
-    ] = None,
-    secondary: Annotated[
-        str | None,
-        typer.Option("--secondary", metavar="SEC", help="Where the secondary is now.", show_default="as in the result"),
-    ] = None,
+    reference: ReferenceOption = None,
+    secondary: SecondaryOption = None,
     truth: Annotated[
         str | None,
         typer.Option("--truth", metavar="FILE", help="Show tie points as correct or false.", show_default=False),
