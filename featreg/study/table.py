@@ -5,23 +5,21 @@ from __future__ import annotations
 import csv
 import io
 import json
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from featreg.errors import InputError, ParameterError, suggest
 from featreg.results.json_file import plain
 from featreg.runtime.files import check_ending, write_atomic
 from featreg.runtime.optional import import_pandas
 from featreg.runtime.showing import Shown, figure_of
-from featreg.study.intervals import FEWEST, Interval, interval
+from featreg.study.intervals import FEWEST, Interval
 from featreg.study.latex import latex
 from featreg.study.layouts import LAYOUTS, columns_of
 from featreg.study.metrics import STANDARD, metric_of
+from featreg.study.table_summary import differences_of, intervals_of, judged_summary, pivot_of, summary_of
 from featreg.study.text_table import text_lines
 
 COLUMNS = ("pair", "method", "status", *STANDARD, "reason")
@@ -78,30 +76,11 @@ class Table(Shown):
         In a median a missing model counts as infinitely wrong, so that a method cannot win by giving up; a mean is
         over the rows that have the value.
         """
-        if len({(row["pair"], row.get("seed")) for row in self.rows}) < 2:
-            return []
-        found = []
-        for statistic, reduce in (("median", np.median), ("mean", np.mean)):
-            for method in self.methods:
-                rows = [row for row in self.rows if row["method"] == method]
-                good = sum(row["status"] == "ok" for row in rows)
-                made: dict[str, Any] = dict.fromkeys(self.columns)
-                made |= {"pair": statistic, "method": method, "status": f"{good}/{len(rows)} ok", "reason": ""}
-                made |= {name: rows[0][name] for name in self.grid}
-                for name in self.metrics:
-                    worst = math.inf if (statistic, name) == ("median", "grid_rmse") else None
-                    values = [worst if row[name] is None and _has_truth(row) else row[name] for row in rows]
-                    there = [v for v in values if v is not None]
-                    made[name] = float(reduce(there)) if there else None
-                found.append(made)
-        return found
+        return summary_of(self)
 
     def intervals(self) -> dict[str, dict[str, Interval]]:
         """Method -> metric -> mean over the pairs with its bootstrap interval (see `featreg.study.intervals`)."""
-        return {
-            method: {name: self._interval(name, self._values(method, name)) for name in self.metrics}
-            for method in self.methods
-        }
+        return intervals_of(self)
 
     def differences(self, baseline: str | None = None) -> dict[str, dict[str, Interval]]:
         """Method -> metric -> mean difference from a baseline, over what both have, with its interval.
@@ -119,20 +98,7 @@ class Table(Shown):
         -----
         Paired: each pair and seed is compared with itself, so that what makes an image pair hard for both drops out.
         """
-        first = self.methods[0] if baseline is None else baseline
-        if first not in self.methods:
-            raise ParameterError(f"no method '{first}' in the table, {suggest(first, self.methods)}")
-        found: dict[str, dict[str, Interval]] = {}
-        for method in self.methods:
-            if method == first:
-                continue
-            found[method] = {}
-            for name in self.metrics:
-                base = self._values(first, name)
-                here = self._values(method, name)
-                shared = {key: value - base[key] for key, value in here.items() if key in base}
-                found[method][name] = self._interval(name, shared, difference=True)
-        return found
+        return differences_of(self, baseline)
 
     def pivot(self, row: str, column: str, metric: str) -> tuple[list[Any], list[Any], list[list[float | None]]]:
         """(row values, column values, mean of a metric at each of their combinations): the data of a heat map.
@@ -142,21 +108,7 @@ class Table(Shown):
         ParameterError
             A column that the table does not have.
         """
-        for name in (row, column, metric):
-            if name not in self.columns:
-                raise ParameterError(f"the table has no column '{name}', {suggest(name, self.columns)}")
-        # By their text: 1 and True are equal as keys.
-        down = list({repr(r[row]): r[row] for r in self.rows}.values())
-        across = list({repr(r[column]): r[column] for r in self.rows}.values())
-        cells: list[list[float | None]] = []
-        for y in down:
-            line: list[float | None] = []
-            for x in across:
-                here = [r[metric] for r in self.rows if (repr(r[row]), repr(r[column])) == (repr(y), repr(x))]
-                there = [float(value) for value in here if value is not None]
-                line.append(math.fsum(there) / len(there) if there else None)
-            cells.append(line)
-        return down, across, cells
+        return pivot_of(self, row, column, metric)
 
     def to_markdown(self, path: str | Path | None = None, *, layout: str | None = None) -> str:
         """Return (and write, where a path is given) the table, the summary and the protocol as Markdown.
@@ -185,7 +137,7 @@ class Table(Shown):
             self,
             columns,
             parts,
-            self._judged() if layout is None else [],
+            judged_summary(self) if layout is None else [],
             intervals if layout is None else ([], ""),
             width,
         )
@@ -224,7 +176,7 @@ class Table(Shown):
         """
         columns, parts = self._shown(layout)
         return _emit(
-            latex(self, columns, parts, self._judged() if layout is None else [], caption, label), path, ".tex"
+            latex(self, columns, parts, judged_summary(self) if layout is None else [], caption, label), path, ".tex"
         )
 
     def to_json(self, path: str | Path | None = None) -> str:
@@ -295,17 +247,6 @@ class Table(Shown):
             raise ParameterError(f"unknown layout '{layout}', {suggest(layout, LAYOUTS)}")
         return columns_of(layout, self.columns, self.rows)
 
-    def _judged(self) -> list[dict[str, Any]]:
-        """The summary without what flatters a method: times and errors that leave out the rows it gave up."""
-        found = self.summary()
-        for row in found:
-            rows = [r for r in self.rows if r["method"] == row["method"]]
-            for name in self.metrics:
-                counted = (row["pair"], name) == ("median", "grid_rmse")
-                if metric_of(name).better == "lower" and not counted and any(r[name] is None for r in rows):
-                    row[name] = None
-        return found
-
     def _interval_rows(self) -> tuple[list[list[str]], str]:
         """The means with their intervals, titles first, and what is said of them; nothing where there are none."""
         found = self.intervals()
@@ -333,25 +274,6 @@ class Table(Shown):
             return []
         titles, *values = map(_line, rows)
         return ["", titles, _line(["---"] * len(rows[0])), *values, "", note]
-
-    def _values(self, method: str, metric: str) -> dict[tuple[Any, Any], float]:
-        """(pair, seed) -> value, where there is one."""
-        rows = [row for row in self.rows if row["method"] == method and row[metric] is not None]
-        return {(row["pair"], row.get("seed")): float(row[metric]) for row in rows}
-
-    def _interval(self, metric: str, values: Mapping[tuple[Any, Any], float], *, difference: bool = False) -> Interval:
-        groups: dict[Any, list[float]] = {}
-        for (pair, _), value in values.items():
-            groups.setdefault(pair, []).append(value)
-        low, high = metric_of(metric).bounds
-        bounds = (low - high, high - low) if difference else (low, high)
-        found = interval(list(groups.values()), self.confidence, bounds=bounds)
-        return replace(found, missing=len({row["pair"] for row in self.rows}) - len(groups))
-
-
-def _has_truth(row: Mapping[str, Any]) -> bool:
-    """Whether a grid RMSE that is missing means that the model is."""
-    return any(row.get(name) is not None for name in ("precision", "ncm"))
 
 
 def _line(cells: Any) -> str:
