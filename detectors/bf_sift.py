@@ -17,8 +17,8 @@ from featreg.sar.gradients.bilateral import BilateralSpace, bilateral_extrema, b
 from featreg.sar.gradients.gradient_field import from_base
 from featreg.sar.keypoints.gradient_histograms import dominant_orientation, further_orientations
 from featreg.sar.keypoints.maxima import around, quadratic_steps
-from featreg.sar.pyramid import clear, pyramid, share_out, to_base
-from featreg.types import Features, FloatArray, Image, IntArray
+from featreg.sar.pyramid import clear, level_count, pyramid, share_out, to_base
+from featreg.types import Features, FloatArray, Image, IntArray, Searched
 
 F32 = NDArray[np.float32]
 Found = tuple[IntArray, FloatArray]
@@ -98,10 +98,8 @@ class BfSift(Detector):
     def detect_features(self, image: Image) -> Features:
         space = self._space()
         chain = pyramid(image, self.octaves, 2.0)
-        searched = self.intervals
-        if self.thin and self._plenty(image):
-            searched = max(1, searched - 1)
-        found = [self._found(level, k) if k < searched else NONE for level in chain for k in range(self.intervals)]
+        most = self._intervals(image)
+        found = [self._found(level, k) if k < most else NONE for level in chain for k in range(self.intervals)]
         found[: self.skip] = [NONE] * min(self.skip, len(found))
         counts = share_out(self.n_features, [len(flat) for flat, _ in found], self.quota_decay)
         parts = []
@@ -125,6 +123,21 @@ class BfSift(Detector):
             )
         everything = Features.concatenate(parts)
         return everything.take(np.argsort(-everything.score, kind="stable")[: self.n_features])
+
+    def searched(self, image: Image) -> Searched:
+        space, most = self._space(), self._intervals(image)
+        kept: list[float] = []
+        coarsest: list[float] = []
+        for octave in range(level_count(image.shape, self.octaves, 2.0)):
+            for k in range(self.intervals):
+                radius = self.support * space.sigma_of(k + 1) * 2.0**octave
+                if octave * self.intervals + k >= self.skip:
+                    (kept if k < most else coarsest).append(radius)
+        return Searched(radii=tuple(kept), left_out={"thin": tuple(coarsest)} if coarsest else {})
+
+    def _intervals(self, image: Image) -> int:
+        """How many of the scales of an octave are looked at."""
+        return max(1, self.intervals - 1) if self.thin and self._plenty(image) else self.intervals
 
     def _plenty(self, image: Image) -> bool:
         return image.valid_count >= PLENTY * self.n_features

@@ -15,7 +15,7 @@ from featreg.sar.gradients.log_gabor import Bandwidth, LogGabor, MinWavelength, 
 from featreg.sar.gradients.phase_congruency import Congruency, Noise, View, bytes_of, congruency_maps, without_rim
 from featreg.sar.keypoints.corners import fast_corners, orientation, refine_centroid
 from featreg.sar.pyramid import SUPPORT, clear
-from featreg.types import Features, FloatArray, Image, IntArray
+from featreg.types import Features, FloatArray, Image, IntArray, Searched
 
 ORIENTATION_RADIUS = 15
 
@@ -80,6 +80,9 @@ class PhaseCongruency(Detector):
     def reach(self) -> float:
         """The support, and the coarsest filter around it."""
         return self.support + self._settings()[0].wavelength(self.scales - 1)
+
+    def searched(self, image: Image) -> Searched:
+        return Searched(radii=(self.support,))
 
     def detect_features(self, image: Image) -> Features:
         largest, smallest, _, valid = congruency_maps(image, *self._settings())

@@ -28,7 +28,7 @@ from featreg.sar.keypoints.harris import harris_response, ratio_harris_response
 from featreg.sar.keypoints.maxima import interpolated, local_maxima, parabola_peak, quadratic_peak
 from featreg.sar.pyramid import clear, pyramid, share_out, to_base
 from featreg.sar.speckle import filled_amplitude
-from featreg.types import Features, FloatArray, Image, IntArray
+from featreg.types import Features, FloatArray, Image, IntArray, Searched
 
 F32 = NDArray[np.float32]
 
@@ -73,7 +73,7 @@ class SarHarris(Detector):
     subscale : interpolate the scale between neighbouring ones by a parabola through the responses
     thin : leave every other scale out of images with at least 50 valid pixels for each keypoint asked for
     coarse : leave the scales finer than `finest` out of images with at least 140 valid pixels for each keypoint, and
-        as many so far from the border that corners of `finest` are found there
+        as many so far from border and nodata that corners of `finest` are found there
     second : another peak of the histogram of directions of at least this share of the highest makes a further keypoint
         at the same place; 1: none does
     exact : compute every scale on the image itself and take directions from samples half an alpha apart; otherwise
@@ -142,9 +142,9 @@ class SarHarris(Detector):
         return self._best(self._places(image))
 
     def _places(self, image: Image) -> Features:
-        step = 2 if self.thin and self._plenty(image) else 1
-        first = self._first() if self.coarse and self._abundant(image) else 0
-        layers = [self._layer(image, number) for number in range(first, self.scales, step)]
+        numbers = self._numbers(image)
+        step = numbers.step
+        layers = [self._layer(image, number) for number in numbers]
         counts = share_out(self.n_features, [len(layer.maxima) for layer in layers], self.quota_decay**step)
         parts = []
         for k, (layer, count) in enumerate(zip(layers, counts, strict=True)):
@@ -154,6 +154,20 @@ class SarHarris(Detector):
             score = layer.response[at[:, 1], at[:, 0]].astype(np.float64)
             parts.append(Features(xy, self.support * alpha, 0.0, score, np.full(len(at), layer.number)))
         return Features.concatenate(parts)
+
+    def searched(self, image: Image) -> Searched:
+        numbers = self._numbers(image)
+        radii = [self.support * self.alpha * self.factor**number for number in range(self.scales)]
+        finer = tuple(radii[: numbers.start])
+        between = tuple(radii[n] for n in range(numbers.start, self.scales) if n not in numbers)
+        left_out = {name: some for name, some in (("coarse", finer), ("thin", between)) if some}
+        return Searched(radii=tuple(radii[number] for number in numbers), left_out=left_out)
+
+    def _numbers(self, image: Image) -> range:
+        """Those of the scales that are looked at."""
+        step = 2 if self.thin and self._plenty(image) else 1
+        first = self._first() if self.coarse and self._abundant(image) else 0
+        return range(first, self.scales, step)
 
     def _best(self, features: Features) -> Features:
         return features.take(np.argsort(-features.score, kind="stable")[: self.n_features])
@@ -182,10 +196,13 @@ class SarHarris(Detector):
         return image.valid_count >= PLENTY * self.n_features
 
     def _abundant(self, image: Image) -> bool:
-        """As `_plenty`, of pixels so far from the border that corners of `finest` are found there."""
-        border = 2 * math.ceil(self.support * self.finest)
-        inner = max(0, image.shape[0] - border) * max(0, image.shape[1] - border)
-        return min(inner, image.valid_count) >= ABUNDANT * self.n_features
+        """As `_plenty`, of pixels so far from border and nodata that corners of `finest` are found there."""
+        radius = math.ceil(self.support * self.finest)
+        if image.all_valid:
+            inner = math.prod(max(0, side - 2 * radius) for side in image.shape)
+        else:
+            inner = int(np.count_nonzero(clear(image, radius)))
+        return bool(inner >= ABUNDANT * self.n_features)
 
     def _first(self) -> int:
         """Number of the first scale that is not finer than `finest`, or of the last one."""

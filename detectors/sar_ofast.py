@@ -17,9 +17,9 @@ from featreg.runtime.parameters import Count, Positive
 from featreg.sar.gradients.gradient_field import from_base
 from featreg.sar.gradients.ratio import quantised_edges, ratio_gradients
 from featreg.sar.keypoints.corners import fast_corners, orient_level, orientation, refine_centroid, refine_corner
-from featreg.sar.pyramid import REACH, SUPPORT, clear, level_count, pyramid, share_out, to_base
+from featreg.sar.pyramid import REACH, SUPPORT, clear, level_count, pyramid, share_out, to_base, valid_width
 from featreg.sar.speckle import despeckled_bytes_around
-from featreg.types import Features, Image, read_only
+from featreg.types import Features, Image, Searched, read_only
 
 ORIENTATION_RADIUS = 15
 # Least number of valid pixels of the first level for each keypoint asked for where finer levels are not searched.
@@ -92,6 +92,13 @@ class SarOfast(Detector):
         """With the finest levels that either image needs."""
         return replace(self, skip=min(self._skipped(reference), self._skipped(secondary)))
 
+    def searched(self, image: Image) -> Searched:
+        first = self._skipped(image)
+        radii = [
+            self.support * self.factor**n for n in range(level_count(image.shape, first + self.levels, self.factor))
+        ]
+        return Searched(radii=tuple(radii[first:]), left_out={"skip": tuple(radii[:first])} if first else {})
+
     def detect_features(self, image: Image) -> Features:
         return self.oriented(image, self.detect_places(image))
 
@@ -147,7 +154,7 @@ class SarOfast(Detector):
         valid, skipped = image.valid_count, 0
         most = min(self.skip, level_count(image.shape, self.skip + self.levels, self.factor) - self.levels)
         # What the last level is smaller by at most, so that more than a border is left of it.
-        smaller = min(image.shape) / (2 * math.ceil(self.support + REACH) + 1)
+        smaller = valid_width(image) / (2 * math.ceil(self.support + REACH) + 1)
         while skipped < most and self.factor ** (skipped + self.levels) <= smaller:
             if valid < PLENTY * self.n_features * self.factor ** (2 * (skipped + 1)):
                 break

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from featreg.errors import NoModelError
-from featreg.types import BoolArray, Features, FloatArray, Image, IntArray, Matches
+from featreg.types import BoolArray, Features, FloatArray, Image, IntArray, Matches, Searched
 
 #: Reach of a plugin that states none, px: as much as the methods here that look around themselves most widely.
 REACH = 96.0
@@ -71,6 +71,10 @@ class Detector(Plugin):
         Whoever leaves something out of large images does so in both or in neither.
         """
         return self
+
+    def searched(self, image: Image) -> Searched:
+        """What `detect_features` looks for in an image, for the record; whoever leaves something out says it here."""
+        return Searched()
 
     @property
     def reach(self) -> float:
@@ -161,6 +165,13 @@ class Matcher(Plugin):
         For matchers that search: they need not look elsewhere. Whoever calls it drops tie points beyond the radius.
         """
         return self.match(reference, secondary)
+
+    def searched_in(self, reference: Image, secondary: Image) -> tuple[Searched, Searched] | None:
+        """Where `match` looks in either image, for the record; None from whoever does not tell.
+
+        Whoever reduces images or leaves something out tells it, by the parameter's name as `featreg.match` takes it.
+        """
+        return None
 
     @property
     def reach(self) -> float:

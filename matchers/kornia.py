@@ -21,7 +21,7 @@ from featreg.interop.torch_arrays import as_device, inference, to_tensor
 from featreg.interop.weights import weights_option
 from featreg.runtime.optional import import_torch
 from featreg.runtime.timing import stage
-from featreg.types import BoolArray, Features, FloatArray, Image, IntArray, Matches
+from featreg.types import BoolArray, Features, FloatArray, Image, IntArray, Matches, Searched
 from featreg.types.lafs import to_numpy
 
 
@@ -268,6 +268,15 @@ class KorniaMatcher(KorniaMember, Matcher):
         rows = np.flatnonzero(keep)
         rows = rows[np.argsort(-score[rows], kind="stable")][: values["n_features"]]
         return Matches(ends[0][rows], ends[1][rows], score[rows])
+
+    def searched_in(self, reference: Image, secondary: Image) -> tuple[Searched, Searched]:
+        first, second = (_share(image, self.parameters["max_side"]) for image in (reference, secondary))
+        return first, second
+
+
+def _share(image: Image, side: int) -> Searched:
+    longest = max(image.shape)
+    return Searched(side / longest, "matcher.max_side") if longest > side else Searched()
 
 
 def _vectors(features: Features, name: str) -> Any:

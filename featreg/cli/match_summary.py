@@ -6,6 +6,8 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from featreg.results.searching import searched_words
+
 if TYPE_CHECKING:
     from featreg.interfaces import Model
     from featreg.results.registration import Registration
@@ -22,6 +24,8 @@ def summary(result: Registration, written: list[str]) -> str:
     lines = [verdict, f"  method      {provenance['method']}, seed {provenance['seed']}"]
     tried = [f"{one['method']} {one['status']}" for one in provenance.get("choice", {}).get("tried", ())]
     lines += [f"  tried       {', '.join(tried)}"] if tried else []
+    left_out = searched_words(provenance)
+    lines += [f"  searched    {left_out}"] if left_out else []
     if result.model:
         trust = "" if result.status == "ok" else " (not to be trusted)"
         lines.append(f"  model       {_describe(result)}{trust}")

@@ -17,8 +17,8 @@ from featreg.pipeline.aligned import linear_parts
 from featreg.runtime.buffers import keeping
 from featreg.runtime.threads import side_by_side
 from featreg.runtime.timing import stage
-from featreg.sar.pyramid import pyramid, to_base
-from featreg.types import Features, FloatArray, Image, IntArray, Matches, read_only
+from featreg.sar.pyramid import pyramid, to_base, valid_width
+from featreg.types import Features, FloatArray, Image, IntArray, Matches, Searched, read_only
 from featreg.types.arrays import middle
 
 # The vote on a common rotation: how many features take part, the width of a bin, and how far (in standard
@@ -32,7 +32,7 @@ SIGNIFICANCE = 6.0
 TURNED, SOME = math.radians(5), 8
 # Images are reduced to no less than the first share of their side, and not at all where the second would do.
 LEAST_SHARE, WORTH = 0.5, 0.85
-# The shorter side of a reduced image, px: in less there is hardly a place whose surroundings lie inside of it.
+# The width of what is valid in a reduced image, px: in less there is hardly a place whose surroundings lie inside.
 LEAST_SIDE = 64
 
 
@@ -46,8 +46,8 @@ class FeatureMatcher(Matcher):
     n_features : at most so many features of each image are used, those of the highest score
     common_rotation : look for one rotation between the images and describe all features of each image in one direction
     pixels_per_feature : where the smaller of the images has more valid pixels than so many for each of `n_features`,
-        features are found in images reduced to about so many, at most to half of their sides and to no side of less
-        than 64 pixels; 0 never reduces them
+        features are found in images reduced to about so many, at most to half of their sides and to no side, or strip
+        of valid pixels, of less than 64 pixels; 0 never reduces them
 
     Notes
     -----
@@ -97,6 +97,16 @@ class FeatureMatcher(Matcher):
         first, second = to_base(found.reference_xy, one, reference), to_base(found.secondary_xy, two, secondary)
         return replace(found, reference_xy=first, secondary_xy=second)
 
+    def searched_in(self, reference: Image, secondary: Image) -> tuple[Searched, Searched]:
+        images = reference, secondary
+        share = self._share(*images)
+        seen = [_reduced(image, share) for image in images]
+        detector = self.detector.for_pair(seen[0], seen[1])
+        one, two = (detector.searched(image).of_part("detector") for image in seen)
+        if share == 1:
+            return one, two
+        return one.reduced(share, "pixels_per_feature"), two.reduced(share, "pixels_per_feature")
+
     def keypoints(self, image: Image) -> FloatArray:
         """(N, 2) keypoints in an image that is compared with one of its size, at most `n_features`."""
         seen = _reduced(image, self._share(image))
@@ -108,7 +118,8 @@ class FeatureMatcher(Matcher):
         pixels = min(image.valid_count for image in images) if wanted else 0
         if not pixels:
             return 1.0
-        share = max(LEAST_SHARE, LEAST_SIDE / min(min(image.shape) for image in images), math.sqrt(wanted / pixels))
+        least = LEAST_SIDE / min(valid_width(image) for image in images)
+        share = max(LEAST_SHARE, least, math.sqrt(wanted / pixels))
         return share if share < WORTH else 1.0
 
     def _matched(self, reference: Image, secondary: Image, known: float | None) -> Matches:

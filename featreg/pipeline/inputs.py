@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from featreg.interfaces import Model
+from featreg.interfaces import Matcher, Model
 from featreg.io.raster_source import ImageSource, RasterSource, SampleSource, Source
 from featreg.results.input_image import InputImage
 from featreg.sar.absurd import fill_hint
@@ -37,6 +37,12 @@ def input_image(image: Image | Source) -> InputImage:
         "nodata": image.nodata if isinstance(image, SampleSource) else None,
     }
     return InputImage(image.path, image.shape, image.known_scale, image.dtype, None, size, place, **told)
+
+
+def searched_record(matcher: Matcher, reference: Image, secondary: Image) -> dict[str, Any]:
+    """Return where a matcher looks in two images, as a result records it; empty where it does not tell."""
+    found = matcher.searched_in(reference, secondary)
+    return {} if found is None else {"reference": found[0].to_dict(), "secondary": found[1].to_dict()}
 
 
 def pixel_ratio(reference: InputImage, secondary: InputImage, initial: Model | None = None) -> tuple[float, float]:

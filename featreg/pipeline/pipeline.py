@@ -16,7 +16,7 @@ from featreg.pipeline.competing import agreement_gates, rival_gate
 from featreg.pipeline.feature_matcher import FeatureMatcher
 from featreg.pipeline.frame import Frame, stated_frame
 from featreg.pipeline.identical import identical_pixels, stands_still, without_identical
-from featreg.pipeline.inputs import input_image, pixel_ratio, with_hints
+from featreg.pipeline.inputs import input_image, pixel_ratio, searched_record, with_hints
 from featreg.pipeline.locate import Locate
 from featreg.pipeline.refine import Refine
 from featreg.pipeline.steps import (
@@ -153,6 +153,7 @@ class Pipeline:
                 matches = matcher.match(reference, secondary)
             else:
                 matches = matcher.match_near(reference, secondary, initial, search_radius)
+            looked = searched_record(matcher, reference, secondary)
             matches = on_samples(matches, reference, secondary)
             steps.advance()
             before = None if identical is None else {"identical": ~stands_still(matches)}
@@ -196,6 +197,7 @@ class Pipeline:
         return replace(
             result,
             reason=reason,
+            provenance={**result.provenance, **({"searched": [looked]} if looked else {})},
             reference=records[0],
             secondary=records[1],
         )

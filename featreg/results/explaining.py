@@ -12,6 +12,7 @@ from featreg.interfaces import FailedFit
 from featreg.results import gate_texts as texts
 from featreg.results.gate_texts import FOCUS, REGISTRATION, GateText
 from featreg.results.losses import FEW, STAGES, block_words, chain, heights_words, image_words
+from featreg.results.searching import searched_words, to_search_all
 from featreg.types import Gate
 
 if TYPE_CHECKING:
@@ -38,6 +39,8 @@ def explain_registration(registration: Registration) -> str:
     model = registration.model
     choice = registration.provenance.get("choice", {})
     facts = [f"tried: {one['method']}, {one['status']}" for one in choice.get("tried", ())]
+    left_out = searched_words(registration.provenance)
+    facts += [f"searched: {left_out}"] if left_out else []
     facts += [f"tie points: {chain(int(registration.putative.sum()), kept)}, {int(registration.inliers.sum())} final"]
     if "locate" in kept:
         facts.append(f"located: {kept['locate'] or 'none'} of the matches, by windows that correlate")
@@ -115,6 +118,12 @@ def _of_stages(registration: Registration) -> Iterator[Finding]:
     refined = kept.pop("refine", None)
     kept.pop("locate", None)
     if putative < FEW_PUTATIVE and registration.stages:
+        left_out = searched_words(registration.provenance)
+        if left_out:
+            yield Finding(
+                f"features were not looked for everywhere: {left_out}",
+                (texts.MORE, *to_search_all(registration.provenance)),
+            )
         yield Finding(
             f"{putative or 'no'} putative tie points: the method found little to pair",
             (texts.OTHER_METHOD, texts.MORE, texts.SCALE, texts.MASK),

@@ -11,6 +11,7 @@ from featreg.geometry import decompose, local_linear
 from featreg.interfaces import FailedFit
 from featreg.results.input_image import InputImage
 from featreg.results.losses import chain
+from featreg.results.searching import searched_words
 
 if TYPE_CHECKING:
     from featreg.results.registration import Registration
@@ -80,6 +81,8 @@ def facts_of(registration: Registration) -> list[tuple[str, str]]:
         for role, image in (("reference", registration.reference), ("secondary", registration.secondary))
         if image is not None
     ]
+    left_out = searched_words(provenance)
+    facts += [("searched", left_out)] if left_out else []
     stages = {name: int(mask.sum()) for name, mask in registration.stages.items()}
     facts.append(
         ("tie points", f"{chain(int(registration.putative.sum()), stages)}, {int(registration.inliers.sum())} final")

@@ -19,6 +19,9 @@ SUPPORT = 20.0
 REACH = 2.0
 # A reduced pixel counts where at least this share of it, of 255, is data.
 WHOLE = 254
+# By what the valid part of an image is measured, px: the distance of the pixels of its mask that are looked at, and
+# half of the side of the squares that must fit into it.
+MESH, PROBE = 4, 24
 # The mask of an image without invalid pixels, as kernels take it.
 ALL = np.empty((0, 0), np.uint8)
 
@@ -77,6 +80,23 @@ def share_out(total: int, supply: Sequence[int], decay: float) -> list[int]:
 def clear(image: Image, radius: float) -> BoolArray:
     """Return the (H, W) bool map of pixels around which a square of `radius` pixels is valid and inside the image."""
     return image.derive(_clear, reach=math.ceil(radius))
+
+
+def valid_width(image: Image) -> float:
+    """How wide, in pixels, what is valid of an image is: its shorter side, or less where it is a strip in a frame.
+
+    Of a straight strip of width w, squares of half side r fit around a share 1 - 2 r / w of its pixels; squares, for
+    they are what must be valid around a keypoint, so that a diagonal strip is as wide as the largest of them in it.
+    """
+    shorter = min(image.shape)
+    return shorter if image.all_valid else min(shorter, image.derive(_strip_width))
+
+
+def _strip_width(image: Image) -> float:
+    mask = np.ascontiguousarray(image.mask[::MESH, ::MESH])
+    there = np.count_nonzero(mask)
+    inner = np.count_nonzero(whole_squares(mask, PROBE // MESH, outside=True))
+    return math.inf if inner == there else 2 * PROBE * there / (there - inner)
 
 
 def _amplitude_image(image: Image) -> Image:

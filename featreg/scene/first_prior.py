@@ -61,9 +61,11 @@ def first_prior(
         return from_model(model, coarse_uncertainty(reference, secondary), "coarse match of overviews", shapes)
     without = "without geolocation" if asked is None else "with prior 'none'"
     reason = f"{without} the prior is a match of the overviews, which failed: {result.reason}"
+    # Where features were looked for in overviews is told in their pixels, which are not those of the scenes.
+    provenance = {name: value for name, value in result.provenance.items() if name != "searched"}
     return Registration(
         Matches.empty(), {}, np.zeros(0, np.bool_), FailedFit(reason), "unreliable", reason,
-        provenance=result.provenance, timings=result.timings, reference=input_image(reference),
+        provenance=provenance, timings=result.timings, reference=input_image(reference),
         secondary=input_image(secondary),
     )  # fmt: skip
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from typing import Any
 
@@ -34,6 +35,16 @@ def block_table(blocks: Sequence[Block], results: Sequence[BlockResult]) -> dict
         "kept": [int(r.supported.sum()) for r in ordered],
         "refined": [len(r.refined) for r in ordered],
     }
+
+
+def searched_in(results: Sequence[BlockResult]) -> dict[str, list[dict[str, Any]]]:
+    """Where tie points were looked for, and in how many blocks so, the most first; empty where nobody tells."""
+    ways: dict[str, list[BlockResult]] = {}
+    for result in results:
+        if result.searched:
+            ways.setdefault(json.dumps(result.searched, sort_keys=True), []).append(result)
+    ordered = sorted(ways.values(), key=len, reverse=True)
+    return {"searched": [{**alike[0].searched, "blocks": len(alike)} for alike in ordered]} if ordered else {}
 
 
 def seconds_of(results: Sequence[BlockResult]) -> dict[str, float]:

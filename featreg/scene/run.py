@@ -34,7 +34,7 @@ from featreg.scene.blocks import SPLITS, Block, halo_of, middle_of, plan_blocks,
 from featreg.scene.first_prior import first_prior
 from featreg.scene.merge import Merged, accuracy, block_errors, block_gates, concatenated, fit_refined, merge
 from featreg.scene.prior import Prior, corrected
-from featreg.scene.record import block_table, seconds_of, with_final
+from featreg.scene.record import block_table, searched_in, seconds_of, with_final
 from featreg.scene.state import BlockFiles, check_folder, digest_of
 from featreg.scene.task import BlockResult, Job, run_block, search_window
 from featreg.types import Matches
@@ -159,7 +159,11 @@ def match_scene(
                 )
         # The workers are gone, and the columns of the blocks go once they are put together: what is left to do needs
         # the memory more.
-        record = {**counts, "size": size, "halo": job.halo}, block_table(blocks, results), seconds_of(results)
+        record = (
+            {**counts, "size": size, "halo": job.halo},
+            block_table(blocks, results),
+            {"block_seconds": seconds_of(results), **searched_in(results)},
+        )
         merged = merge(results, ["prior", *(name for name, _ in job.filters)])
         results.clear()
         with cancellable(options.cancel):
@@ -348,7 +352,7 @@ def _finished(
     pipeline: Pipeline,
     merged: Merged,
     blocks: Sequence[Block],
-    record: tuple[dict[str, int], dict[str, list[Any]], dict[str, float]],
+    record: tuple[dict[str, int], dict[str, list[Any]], dict[str, Any]],
     prior: Prior,
     reference: Source,
     secondary: Source,
@@ -360,7 +364,7 @@ def _finished(
     timings: dict[str, float],
 ) -> Registration:
     """Global filters, model, refined model and trust over the tie points of all blocks."""
-    counts, table, seconds = record
+    counts, table, further = record
     # The blocks lie where both images see the ground.
     middle = np.mean([b.window.origin + np.array(b.window.shape[::-1]) / 2 for b in blocks], axis=0)
     asked, grids = pipeline.model, prior.base
@@ -417,7 +421,7 @@ def _finished(
             | ({} if asked is pipeline.model else {"model": asked.__name__.lower()}),
             "heights": heights,
             "accuracy": accuracy(result.model, final, errors, result.gates, reference.shape),
-            "block_seconds": seconds,
+            **further,
         },
         reference=input_image(reference),
         secondary=input_image(secondary),

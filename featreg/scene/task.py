@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import math
 from collections.abc import Mapping
@@ -20,7 +21,7 @@ from featreg.io.raster_files import unchanged
 from featreg.io.raster_source import Source, Window
 from featreg.pipeline.feature_matcher import FeatureMatcher
 from featreg.pipeline.frame import Frame, frame_of, linear_at
-from featreg.pipeline.inputs import local_scale
+from featreg.pipeline.inputs import local_scale, searched_record
 from featreg.pipeline.locate import Locate
 from featreg.pipeline.refine import Refine
 from featreg.pipeline.steps import (
@@ -107,6 +108,7 @@ class BlockResult:
     stages : name -> (M,) bool, of the prior and of each local filter, in their order
     refined : its own refined tie points
     located : those of its matches that were measured again; `origin` names rows of `matches`
+    searched : where in its windows tie points were looked for, as a result records it; empty where nobody tells
     candidates : points that refinement looked at
     window : of the secondary that was searched, or None
     seconds : by stage; of this run only
@@ -122,6 +124,7 @@ class BlockResult:
     window: Window | None = None
     seconds: Mapping[str, float] = field(default_factory=dict)
     located: Matches = field(default_factory=Matches.empty)
+    searched: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def supported(self) -> BoolArray:
@@ -179,6 +182,7 @@ def _matched(job: Job, prior: Prior, block: Block) -> BlockResult:
         found = job.matcher.match(reference, secondary)
     else:
         found = job.matcher.match_near(reference, secondary, expected, math.sqrt(2) * prior.uncertainty_px)
+    looked = searched_record(job.matcher, reference, secondary)
     found = on_samples(found, reference, secondary)
     own = found if frame is None else frame.back(found)
     if drawn is not None:
@@ -231,6 +235,7 @@ def _matched(job: Job, prior: Prior, block: Block) -> BlockResult:
         candidates,
         there,
         located=located,
+        searched=looked,
     )
 
 
@@ -374,6 +379,7 @@ def columns_of(result: BlockResult) -> dict[str, NDArray[Any]]:
         "status": np.array(result.status),
         "reason": np.array(result.reason),
         "candidates": np.array(result.candidates),
+        "searched": np.array(json.dumps(result.searched)),
         "window": np.array([] if result.window is None else [*vars(result.window).values()], np.int64),
         "stages": np.array(list(result.stages), np.str_),
         "masks": np.array(list(result.stages.values()), np.bool_).reshape(len(result.stages), len(result.matches)),
@@ -403,4 +409,5 @@ def from_columns(columns: Mapping[str, NDArray[Any]]) -> BlockResult:
         int(columns["candidates"]),
         Window(*window) if window else None,
         located=parts["located"],
+        searched=json.loads(str(columns["searched"])),
     )

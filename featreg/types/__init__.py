@@ -17,6 +17,7 @@ from featreg.types.gate import Gate, verdict
 from featreg.types.image import Geolocation, Image
 from featreg.types.matches import Matches
 from featreg.types.pixel_size import PixelSize
+from featreg.types.searched import Searched
 
 __all__ = [
     "BoolArray",
@@ -28,6 +29,7 @@ __all__ = [
     "IntArray",
     "Matches",
     "PixelSize",
+    "Searched",
     "column",
     "everywhere",
     "finite",

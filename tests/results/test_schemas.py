@@ -181,7 +181,7 @@ def table(part: dict[str, Any]) -> str:
 def sections() -> dict[str, str]:
     found = {name: table(schema(name)) for name in SCHEMAS}
     registration = schema("registration")["$defs"]
-    found |= {name: table(registration[name]) for name in ("gate", "image", "model", "tie_points")}
+    found |= {name: table(registration[name]) for name in ("gate", "image", "model", "searched", "tie_points")}
     found["pair"] = table(schema("stack")["$defs"]["pair"])
     return found
 
