@@ -14,7 +14,7 @@ from featreg.geolocation.heights import ConstantHeight, Heights
 from featreg.geolocation.rpc import RpcSensor
 from featreg.geolocation.sensor import Sensor
 from featreg.geometry.base import DerivedModel
-from featreg.types import FloatArray
+from featreg.types import BoolArray, FloatArray
 
 #: Heights count as found to this many metres.
 CLOSE_M = 1e-5
@@ -41,12 +41,15 @@ class Transfer(DerivedModel):
     -----
     The line of sight of a reference pixel is a function lonlat(h); its point on the ground has h = DEM(lonlat(h)),
     sought as in section 2.1 of [1]_: Eq. 1 (image to ground at a height, here by inverting Eq. 2, because the forward
-    coefficients are rarely delivered) and the DEM in turn, until the height stands still to 1e-5 m. Departure: where
-    that has not settled after six rounds (slopes as steep as the line of sight), h - DEM(lonlat(h)) is bracketed and
-    its crossing found by regula falsi (Illinois), which always ends; where the ground lies over (more than one
-    crossing) it is one of them. With rational polynomials and a DEM in longitude and latitude a compiled loop takes
-    secants after the first round where these close in quickly, and leaves the other points to the rounds. A point whose
+    coefficients are rarely delivered) and the DEM in turn, until the height stands still to 1e-5 m. Departures: after
+    the first round secants are taken, as long as each leaves at most half of the gap h - DEM(lonlat(h)); points where
+    they do not start again by plain rounds, and where these have not settled after six (slopes as steep as the line of
+    sight), the gap is bracketed and its crossing found by regula falsi (Illinois), which always ends. A point whose
     ground is not found is NaN.
+
+    Where the ground lies over, the line of sight crosses it more than once. The point is given the crossing to which
+    this search leads from the height of the ground at the image's centre, which need be neither the highest nor the
+    nearest one. It depends on the point, the sensor and the heights alone, not on the other points that are asked.
 
     References
     ----------
@@ -117,6 +120,45 @@ def _by_secants(sensor: RpcSensor, xy: FloatArray, heights: DemHeights, start: f
 
 def by_rounds(sensor: Sensor, xy: FloatArray, heights: Heights, start: float) -> tuple[FloatArray, FloatArray]:
     """`on_ground` for any sensor and heights, from a height at which every search starts."""
+    level, found = _secants(sensor, xy, heights, start)
+    left = np.flatnonzero(~found)
+    if len(left):
+        level[left] = _plain(sensor, xy[left], heights, start)
+    return sensor.image_to_ground(xy, level), level
+
+
+def _secants(sensor: Sensor, xy: FloatArray, heights: Heights, start: float) -> tuple[FloatArray, BoolArray]:
+    """(N,) heights by the rule of `featreg.geolocation.ground_kernels.ground_of`, and which of them are found.
+
+    Which crossing a point is given must not depend on whether it was asked with others that lie in one part of the
+    elevation model, so that both ways take the same steps.
+    """
+    from featreg.geolocation.ground_kernels import ROUNDS, SHRINKING
+
+    level, found = np.full(len(xy), start), np.zeros(len(xy), np.bool_)
+    before, gap = level.copy(), np.full(len(xy), np.nan)
+    open_ = np.arange(len(xy))
+    for turn in range(ROUNDS):
+        here = level[open_]
+        now = heights.at(sensor.image_to_ground(xy[open_], here)) - here
+        done = np.abs(now) <= CLOSE_M
+        step = now
+        if turn:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                step = np.where(done, now, -now * (here - before[open_]) / (now - gap[open_]))
+        found[open_[done]] = True
+        closing = np.isfinite(now) if not turn else np.abs(now) <= SHRINKING * np.abs(gap[open_])
+        keep = done | closing
+        before[open_], gap[open_] = here, now
+        level[open_[keep]] = (here + step)[keep]
+        open_ = open_[closing & ~done]
+        if not len(open_):
+            break
+    return level, found
+
+
+def _plain(sensor: Sensor, xy: FloatArray, heights: Heights, start: float) -> FloatArray:
+    """(N,) heights by plain rounds from `start`, and by bracketing where these do not settle; NaN where not found."""
     level = heights.at(sensor.image_to_ground(xy, start))
     low, high = np.full(len(xy), LOWEST), np.full(len(xy), HIGHEST)
     over, under = np.full(len(xy), np.nan), np.full(len(xy), np.nan)
@@ -131,7 +173,7 @@ def by_rounds(sensor: Sensor, xy: FloatArray, heights: Heights, start: float) ->
         open_ = open_[np.abs(found - now) > CLOSE_M]
     if len(open_):
         level[open_] = _bracketed(sensor, xy[open_], heights, low[open_], high[open_], over[open_], under[open_])
-    return sensor.image_to_ground(xy, level), level
+    return level
 
 
 def _start(sensor: Sensor, heights: Heights) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -94,7 +95,7 @@ class TestSecants:
         assert single.sum() > 2900
         assert np.abs(level[single] - plain[single]).max() < 3 * CLOSE_M
         assert np.abs(lonlat[single] - other[single]).max() < 1e-9
-        # On the cliff lines of sight meet the ground more than once: any of the crossings will do.
+        # On the cliff lines of sight meet the ground more than once.
         known = np.isfinite(level)
         assert known.sum() == 2999
         assert np.abs(dem.at(lonlat[known]) - level[known]).max() < 1e-3
@@ -110,6 +111,24 @@ class TestSecants:
         )
         monkeypatch.setattr("featreg.geolocation.elevation_model.KEPT_PATCH", 1)
         assert np.abs(on_ground(rpc, xy, dem)[1] - together).max() < 3 * CLOSE_M
+
+    def test_which_crossing_is_found_does_not_depend_on_the_way(
+        self, rpc: RpcSensor, write_dem: Callable[..., str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """On rough ground half of the lines of sight cross it more than once; secants or rounds, they take the same."""
+        import cv2
+
+        rough = cv2.GaussianBlur(np.random.default_rng(0).normal(size=(600, 1100)), (0, 0), 4.0)
+        corner = from_origin(PLACE[0] - 0.055, PLACE[1] + 0.03, 1e-4, 1e-4)
+        dem = DemHeights(write_dem(tmp_path / "rough.tif", 400 + 75 * rough / rough.std(), corner))
+        xy = np.random.default_rng(4).uniform(0, 2000, (20_000, 2))
+        level = on_ground(rpc, xy, dem)[1]
+        assert np.isfinite(level).all()
+        monkeypatch.setattr("featreg.geolocation.elevation_model.KEPT_PATCH", 0)
+        assert np.abs(on_ground(rpc, xy, dem)[1] - level).max() < 1e-3
+        scanned = np.arange(100.0, 800.0, 10.0)
+        gaps = np.array([dem.at(rpc.image_to_ground(xy[:500], np.full(500, h))) - h for h in scanned])
+        assert ((np.diff(np.sign(gaps), axis=0) != 0).sum(axis=0) > 1).mean() > 0.3
 
     def test_far_off_the_image_heights_are_those_of_the_places(self, rpc: RpcSensor, dem: DemHeights) -> None:
         lonlat, level = on_ground(rpc, np.random.default_rng(7).uniform(-1e7, 1e7, (2000, 2)), dem)
