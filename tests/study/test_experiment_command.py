@@ -16,7 +16,6 @@ from featreg.cli.main import main
 
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 
-Make = Callable[..., Experiment]
 Run = Callable[..., tuple[int, str, str]]
 
 

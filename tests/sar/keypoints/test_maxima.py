@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,14 +12,8 @@ from featreg.io import as_image
 from featreg.sar.gradients.gradient_field import from_base, octave, ratio_field
 from featreg.sar.keypoints.maxima import interpolated, local_maxima, parabola_peak, quadratic_peak, quadratic_steps
 from featreg.sar.pyramid import to_base
-from featreg.types import Features
 
 Texture = Callable[..., NDArray[np.float32]]
-
-
-def at(xy: Any, scale: float = 20.0, angle: Any = 0.0) -> Features:
-    xy = np.asarray(xy, np.float64)
-    return Features(xy, scale, angle, np.ones(len(xy)), np.zeros(len(xy), np.int64))
 
 
 def test_maxima_of_a_bump_between_the_pixels() -> None:
