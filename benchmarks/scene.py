@@ -17,8 +17,10 @@ import os
 import resource
 import subprocess
 import sys
-import threading
 import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -64,33 +66,61 @@ def family(process: int) -> list[int]:
     return found
 
 
-def run_measured(arguments: list[str]) -> dict[str, Any]:
-    """Run `featreg` with these arguments; wall and processor time and the largest proportional memory."""
+@dataclass
+class Watched:
+    """What a process and all below it took, seen from outside.
+
+    `memory` holds rows of (seconds since the start, proportional bytes of the command, of all processes).
+    """
+
+    code: int
+    wall_s: float
+    processor_s: float
+    memory: list[tuple[float, int, int]]
+
+    def figures(self) -> dict[str, Any]:
+        """Wall and processor time and the largest memory."""
+        return {
+            "wall s": round(self.wall_s, 2),
+            "processor s": round(self.processor_s, 2),
+            "MB command": max((row[1] for row in self.memory), default=0) >> 20,
+            "MB all": max((row[2] for row in self.memory), default=0) >> 20,
+        }
+
+
+def watched(arguments: list[str], *, every: float = 0.1, after: Callable[[float, int], None] | None = None) -> Watched:
+    """Run `featreg` with these arguments to its end.
+
+    Parameters
+    ----------
+    arguments : of the command
+    every : seconds between two looks at the memory
+    after : called at each look with the seconds since the start and the number of the process, to do it harm
+    """
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     start = time.perf_counter()
     process = subprocess.Popen([sys.executable, "-m", "featreg", *arguments], stdout=subprocess.DEVNULL)
-    peak = {"all": 0, "command": 0}
-
-    def watch() -> None:
-        while process.poll() is None:
-            sizes = [proportional(p) for p in family(process.pid)]
-            peak["all"], peak["command"] = max(peak["all"], sum(sizes)), max(peak["command"], sizes[0])
-            time.sleep(0.1)
-
-    watcher = threading.Thread(target=watch)
-    watcher.start()
-    code = process.wait()
+    memory = []
+    while process.poll() is None:
+        sizes = [proportional(p) for p in family(process.pid)]
+        seconds = time.perf_counter() - start
+        memory.append((seconds, sizes[0], sum(sizes)))
+        if after is not None:
+            after(seconds, process.pid)
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(every)
     seconds = time.perf_counter() - start
-    watcher.join()
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    if code not in (0, 3):  # 3: not trusted, and written
-        raise SystemExit(f"featreg {arguments[0]} ended with {code}")
-    return {
-        "wall s": round(seconds, 2),
-        "processor s": round(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, 2),
-        "MB command": peak["command"] >> 20,
-        "MB all": peak["all"] >> 20,
-    }
+    ended = resource.getrusage(resource.RUSAGE_CHILDREN)
+    used = ended.ru_utime + ended.ru_stime - before.ru_utime - before.ru_stime
+    return Watched(process.returncode, seconds, used, memory)
+
+
+def run_measured(arguments: list[str]) -> dict[str, Any]:
+    """Run `featreg` with these arguments; wall and processor time and the largest proportional memory."""
+    done = watched(arguments)
+    if done.code not in (0, 3):  # 3: not trusted, and written
+        raise SystemExit(f"featreg {arguments[0]} ended with {done.code}")
+    return done.figures()
 
 
 def orb_seconds(place: Path) -> list[float]:

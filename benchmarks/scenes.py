@@ -67,14 +67,20 @@ def _stated(truth: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.linalg.inv(np.vstack([wrong, [0.0, 0.0, 1.0]])))
 
 
-def _write(path: Path, image: NDArray[np.float32], to_reference: NDArray[np.float64]) -> None:
-    import rasterio
+def transform_of(to_reference: NDArray[np.float64]) -> Any:
+    """The geotransform of an image whose pixels lie at these ones of the reference, of 10 m on a map projection."""
     from rasterio.transform import Affine
 
-    # GDAL counts from the corner of the first pixel; pixels of 10 m on a map projection.
+    # GDAL counts from the corner of the first pixel.
     ground = Affine(10.0, 0.0, 380_000.0, 0.0, -10.0, 3_780_000.0) @ Affine.translation(0.5, 0.5)
     a, b, c, d, e, f = to_reference[:2].ravel().tolist()
-    transform = ground @ Affine(a, b, c, d, e, f) @ ~Affine.translation(0.5, 0.5)
+    return ground @ Affine(a, b, c, d, e, f) @ ~Affine.translation(0.5, 0.5)
+
+
+def _write(path: Path, image: NDArray[np.float32], to_reference: NDArray[np.float64]) -> None:
+    import rasterio
+
+    transform = transform_of(to_reference)
     samples = np.clip(np.rint(image * 50), 0, 65535).astype(np.uint16)
     profile = {"driver": "GTiff", "height": image.shape[0], "width": image.shape[1], "count": 1, "dtype": "uint16"}
     with rasterio.open(path, "w", **profile, nodata=0, crs="EPSG:32611", transform=transform, tiled=True) as out:

@@ -83,6 +83,16 @@ def reusing() -> Iterator[None]:
                     library.malloc_trim(0)
 
 
+def give_back_freed() -> None:
+    """Give memory that was freed back to the system, whole pages of it, where the C library is glibc.
+
+    It keeps what was freed in small arrays among others for the next small ones, where no large one finds room.
+    """
+    library = _glibc()
+    if library is not None:
+        library.malloc_trim(0)
+
+
 def _staying() -> int:
     """How many free bytes may stay with the process."""
     return min(MOST_STAYS, int(STAYING_SHARE * _memory()))

@@ -10,14 +10,15 @@ import queue
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import closing, contextmanager, nullcontext
 from typing import Any, Protocol
 
-from featreg.errors import CancelledError, FeatregError, ParameterError
+from featreg.errors import FeatregError, ParameterError
+from featreg.runtime.dask_tasks import DaskTasks
 from featreg.runtime.threads import single_threaded, worker_count
-from featreg.runtime.watching import Canceller
+from featreg.runtime.watching import GLANCE, Canceller, end_if_set
 from featreg.runtime.workers import can_fork, start_worker
 
 #: Tasks handed over ahead of the results for each worker, and for an executor of unknown size.
@@ -25,8 +26,6 @@ AHEAD = 3
 UNKNOWN = 64
 #: How often worker processes that die are replaced before the run gives up.
 REPLACED = 3
-#: Seconds between two looks at `cancel`.
-GLANCE = 0.2
 
 #: Executors by name.
 NAMES = ("serial", "threads", "processes")
@@ -97,7 +96,7 @@ def open_executor(executor: Any, workers: int | None) -> Iterator[TaskExecutor]:
                     yield processes
         return
     if type(executor).__module__.startswith("distributed"):
-        yield _Futures(executor, ahead=AHEAD * _dask_threads(executor), options={"pure": False, "retries": 2})
+        yield DaskTasks(executor)
         return
     ahead = AHEAD * getattr(executor, "_max_workers", UNKNOWN)
     here = isinstance(executor, ThreadPoolExecutor | InProcessExecutor)
@@ -108,10 +107,8 @@ def open_executor(executor: Any, workers: int | None) -> Iterator[TaskExecutor]:
 class _Futures:
     """Any object with `submit`, whose futures have `add_done_callback`, `result` and `cancel`."""
 
-    def __init__(
-        self, executor: Any, *, ahead: int, own_process: bool = True, options: Mapping[str, Any] | None = None
-    ) -> None:
-        self._executor, self._ahead, self._options = executor, ahead, options or {}
+    def __init__(self, executor: Any, *, ahead: int, own_process: bool = True) -> None:
+        self._executor, self._ahead = executor, ahead
         self.own_process = own_process
 
     def run(
@@ -122,12 +119,12 @@ class _Futures:
         waiting = iter(enumerate(items))
         try:
             while True:
-                _look(cancel)
+                end_if_set(cancel)
                 while len(pending) < self._ahead:
                     position, item = next(waiting, (-1, None))
                     if position < 0:
                         break
-                    future = self._executor.submit(function, *common, item, **self._options)
+                    future = self._executor.submit(function, *common, item)
                     pending[position] = future
                     future.add_done_callback(lambda f, at=position: done.put((at, f)))
                 if not pending:
@@ -158,7 +155,7 @@ class _Processes:
         left = dict(enumerate(items))
         if self._pool is None and len(left) > 1:
             # Here, so that the workers inherit what the first task has imported and compiled.
-            _look(cancel)
+            end_if_set(cancel)
             yield 0, function(*common, left.pop(0))
         for attempt in range(REPLACED + 1):
             positions = list(left)
@@ -206,15 +203,3 @@ def _uninterrupted() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, signal.SIG_DFL if before is None else before)
-
-
-def _dask_threads(client: Any) -> int:
-    try:
-        return max(1, int(sum(client.nthreads().values())))
-    except Exception:  # a cluster that does not say how large it is still takes tasks
-        return UNKNOWN
-
-
-def _look(cancel: Canceller | None) -> None:
-    if cancel is not None and cancel.is_set():
-        raise CancelledError("the work was cancelled")

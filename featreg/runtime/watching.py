@@ -9,6 +9,9 @@ from typing import Any, Protocol
 
 from featreg.errors import CancelledError, ParameterError
 
+#: Seconds between two looks at `cancel` of what waits.
+GLANCE = 0.2
+
 Progress = Callable[[int, int], None]
 
 
@@ -33,7 +36,11 @@ def cancellable(cancel: Canceller | None) -> Iterator[None]:
 
 def check_cancelled() -> None:
     """Raise a `CancelledError` where the work around was cancelled."""
-    cancel = _cancel.get()
+    end_if_set(_cancel.get())
+
+
+def end_if_set(cancel: Canceller | None) -> None:
+    """Raise a `CancelledError` where this event is set."""
     if cancel is not None and cancel.is_set():
         raise CancelledError("the work was cancelled")
 

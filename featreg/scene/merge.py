@@ -18,7 +18,7 @@ from featreg.pipeline.trust import Limits
 from featreg.scene.blocks import Block
 from featreg.scene.prior import Prior
 from featreg.scene.task import BlockResult
-from featreg.types import BoolArray, FloatArray, Gate, IntArray, Matches, verdict
+from featreg.types import BoolArray, FloatArray, Gate, IntArray, Matches, read_only, verdict
 
 #: Refined tie points farther than this from the first model are wrong, px.
 FAR_PX = 6.0
@@ -92,7 +92,8 @@ def concatenated(parts: Sequence[Matches]) -> Matches:
 
     def joined(name: str) -> Any:
         values = [getattr(part, name) for part in parts]
-        return None if any(v is None for v in values) else np.concatenate(values)
+        # Locked, so that it is taken as it is and not copied.
+        return None if any(v is None for v in values) else read_only(np.concatenate(values))
 
     names = ("reference_xy", "secondary_xy", "score", "covariance", "origin", "rotation", "scale_ratio")
     return Matches(**{name: joined(name) for name in names})

@@ -25,6 +25,7 @@ from featreg.pipeline.pipeline import Pipeline
 from featreg.pipeline.steps import located, refined
 from featreg.results.losses import block_words, heights_words
 from featreg.results.registration import Registration
+from featreg.runtime.buffers import give_back_freed
 from featreg.runtime.executors import TaskExecutor, open_executor
 from featreg.runtime.parameters import check
 from featreg.runtime.timing import collecting, stage
@@ -166,6 +167,7 @@ def match_scene(
         )
         merged = merge(results, ["prior", *(name for name, _ in job.filters)])
         results.clear()
+        give_back_freed()
         with cancellable(options.cancel):
             return _finished(
                 pipeline, merged, blocks, record, prior, reference, secondary, {**heights.to_dict(), "source": whence},

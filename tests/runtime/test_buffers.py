@@ -115,3 +115,24 @@ def test_what_stays_is_a_share_of_what_a_container_may_use(tmp_path: Path, monke
     limits[0].write_text("max\n")
     limits[1].write_text(f"{1 << 26}\n")
     assert buffers._staying() == 1 << 22
+
+
+FREED = """
+import os
+import numpy as np
+from featreg.runtime.buffers import give_back_freed
+resident = lambda: int(open("/proc/self/statm").read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+arrays = [np.ones(1 << 13, np.uint8) for _ in range(8 << 10)]
+last = np.ones(1 << 13, np.uint8)  # without it the end of the heap would go by itself
+arrays.clear()
+print(resident())
+give_back_freed()
+print(resident(), last.sum())
+"""
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another C library")
+def test_small_arrays_that_were_freed_leave_the_process() -> None:
+    before, after, kept = run(FREED)
+    assert before - after > 32 << 20
+    assert kept == 1 << 13

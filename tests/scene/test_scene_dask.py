@@ -17,7 +17,9 @@ import numpy as np
 import pytest
 
 import featreg
+from featreg.errors import FeatregError
 from featreg.results.registration import Registration
+from featreg.runtime.executors import open_executor
 
 pytest.importorskip("distributed", reason="needs dask: pip install 'featreg[dask]'")
 pytestmark = pytest.mark.slow
@@ -28,6 +30,7 @@ class Cluster:
     """A scheduler and its workers."""
 
     address: str
+    scheduler: subprocess.Popen[bytes]
     workers: list[subprocess.Popen[bytes]]
 
 
@@ -54,11 +57,13 @@ def cluster(tmp_path: Path) -> Iterator[Cluster]:
             return process
 
         file = tmp_path / "scheduler.json"
-        start("dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(file))
+        scheduler = start(
+            "dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(file)
+        )
         address = _address(file)
         options = ("--nthreads", "1", "--no-nanny", "--no-dashboard", "--local-directory", str(tmp_path))
         workers = [start("dask_worker", address, "--host", "127.0.0.1", *options) for _ in range(2)]
-        yield Cluster(address, workers)
+        yield Cluster(address, scheduler, workers)
 
 
 def _address(file: Path) -> str:
@@ -113,3 +118,11 @@ def test_a_cluster_that_loses_a_worker_gives_the_same_result(
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert equal(Registration.from_json(out), wanted)
+    # Without its scheduler a run ends in one line.
+    client = Client(cluster.address, timeout=60)  # type: ignore[no-untyped-call]
+    with client, open_executor(client, None) as executor:
+        running = executor.run(time.sleep, (), [0.01, *[30.0] * 3], None)
+        next(running)
+        cluster.scheduler.kill()
+        with pytest.raises(FeatregError, match="connection to the dask scheduler was lost"):
+            list(running)
