@@ -98,4 +98,4 @@ def _painted(
     table = (UNIT * np.sqrt(rng.gamma(LOOKS, 1 / LOOKS, SPECKLES))).astype(np.float32)
     seen *= table[rng.integers(0, SPECKLES, seen.shape, np.uint16)]
     # 0 is nodata.
-    return np.clip(seen, 1, 65535, out=seen).astype(np.uint16)
+    return np.asarray(np.clip(seen, 1, 65535, out=seen), np.uint16)

@@ -179,3 +179,49 @@ def test_information_is_highest_where_two_images_lie() -> None:
     assert square_apart(Affine(start), Affine(truth), pair) > 1.0
     found = Information(pair).highest(start)[1]
     assert square_apart(Affine(found), Affine(truth), pair) < 0.2
+
+
+def test_a_simulated_cluster_is_bound_by_what_is_slowest() -> None:
+    from cluster import Costs, simulate
+
+    one, ten = (simulate(Costs((0.05,), start=2.0, end=0.001), 1000, workers) for workers in (1, 10))
+    assert one.wall_s == pytest.approx(2 + 50 + 1)
+    assert ten.wall_s == pytest.approx(2 + 5 + 1)
+    assert ten.workers == pytest.approx(5 / 8)
+    # 1000 blocks at 1 ms of the scheduler each, half of it on the way out, hide all else.
+    served = simulate(Costs((0.01,), scheduler_block=0.001), 1000, 500)
+    assert 0.99 < served.wall_s < 1.3
+    assert served.scheduler > 0.8
+    read = simulate(Costs((0.01,), read=1e7, store=1e9), 1000, 50)
+    assert 10 <= read.wall_s < 11.5
+
+
+def test_a_simulated_worker_that_dies_loses_its_bundle_only() -> None:
+    from cluster import Costs, simulate
+
+    calm, bad = (simulate(Costs((0.05,), deaths=rate, replaced=5.0), 4000, 4, seed=1) for rate in (0.0, 60.0))
+    assert calm.again == 0
+    assert 0 < bad.again <= 16 * 20
+    assert calm.wall_s < bad.wall_s < 2 * calm.wall_s
+
+
+def test_a_wide_pair_shows_one_texture_under_its_truth(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import json
+
+    import rasterio
+    import wide_pair
+
+    monkeypatch.setattr(wide_pair, "texture", lambda: landscape(200, 3).astype(np.float32))
+    monkeypatch.setattr(wide_pair, "PAINTED", 128)
+    monkeypatch.setattr(wide_pair, "LOOKS", 1e8)
+    place = wide_pair.wide_pair(tmp_path, (300, 420))
+    images = []
+    for name in ("reference", "secondary"):
+        with rasterio.open(place / f"{name}.tif") as file:
+            images.append(file.read(1).astype(np.float32))
+    truth = np.array(json.loads((place / "truth.json").read_text())["matrix"])
+    back = cv2.warpAffine(images[1], truth, (420, 300), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
+    inner = (slice(30, -30), slice(30, -30))
+    assert np.abs(back[inner] / images[0][inner] - 1).mean() < 0.01
+    assert np.abs(images[1][inner] / images[0][inner] - 1).mean() > 0.05
+    assert wide_pair.wide_pair(tmp_path, (300, 420)) == place

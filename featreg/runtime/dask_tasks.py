@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import concurrent.futures
+import math
 import queue
 import time
 from collections import deque
@@ -24,6 +25,8 @@ AHEAD = 3
 #: Most items of a bundle and seconds that it may take, since it is lost with its worker; and for how many bundles a
 #: thread those left are meant.
 LARGEST, LONGEST, SHARES = 16, 1.0, 4
+#: Seconds that the scheduler takes for a bundle, so that many workers get larger ones than their share.
+SERVED = 0.004
 #: Seconds after which the cluster is asked anew how large it is.
 ASKED_EVERY = 5.0
 #: Threads of a cluster that does not say how many it has.
@@ -98,7 +101,10 @@ class DaskTasks:
 
 def bundle_size(left: int, threads: int, seconds: float) -> int:
     """How many of the items left, which take so many seconds each, make the next task."""
-    return min(left, max(1, min(LARGEST, left // (SHARES * threads), int(LONGEST / max(seconds, 1e-9)))))
+    each = max(seconds, 1e-9)
+    # Where the scheduler hands out as fast as all workers work, and where handing out takes as long as the last bundle.
+    served = min(threads * SERVED / each, math.sqrt(left * SERVED / each))
+    return min(left, max(1, int(min(LARGEST, LONGEST / each, max(left // (SHARES * threads), served)))))
 
 
 def _each(function: Callable[..., Any], common: tuple[Any, ...], items: Sequence[Any]) -> tuple[list[Any], float]:

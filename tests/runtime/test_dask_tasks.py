@@ -44,7 +44,8 @@ def _sum(first: int, second: int) -> int:
     return first + second
 
 
-def test_every_item_is_done_once_in_bundles_that_grow_small() -> None:
+def test_every_item_is_done_once_in_bundles_that_grow_small(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dask_tasks, "SERVED", 0.0)
     client = Client(threads=2)
     got = dict(DaskTasks(client).run(_sum, (10,), range(400), None))
     assert got == {k: 10 + k for k in range(400)}
@@ -60,9 +61,18 @@ def test_a_bundle_is_no_longer_than_a_second_nor_than_its_share() -> None:
     assert bundle_size(4000, 2, 0.05) == LARGEST
     assert bundle_size(4000, 2, 0.3) == 3
     assert bundle_size(4000, 2, 20.0) == 1
-    assert bundle_size(4000, 200, 0.05) == 5
-    assert bundle_size(3, 200, 0.05) == 1
+    assert bundle_size(4000, 40, 0.05) == LARGEST
+    assert bundle_size(2000, 40, 0.05) == 12
     assert bundle_size(0, 2, 0.05) == 0
+
+
+def test_many_workers_get_bundles_that_the_scheduler_can_serve() -> None:
+    # 250 bundles a second keep 100 workers busy for .05 s a block where 8 are in each.
+    assert bundle_size(3000, 100, 0.05) == 8
+    # Of few blocks, as many as are done while the scheduler hands out the others.
+    assert bundle_size(200, 1000, 0.05) == 4
+    assert bundle_size(3, 200, 0.05) == 1
+    assert bundle_size(200, 1000, 20.0) == 1
 
 
 def test_workers_that_come_later_get_their_share(monkeypatch: pytest.MonkeyPatch) -> None:
