@@ -200,13 +200,12 @@ def file_of(source: Path) -> Path:
 
 def source_digest(kernel: Source) -> str:
     """Digest of the source of a kernel's module, of those from which it takes kernels, and of what translates them."""
-    paths = {kernel.path}
-    left = [kernel]
+    paths, seen, left = {kernel.path}, {id(kernel)}, [kernel]
     while left:
         for used in left.pop().used.values():
-            if used.path not in paths:
+            if id(used) not in seen:
+                seen.add(id(used))
                 paths.add(used.path)
-            if used.path != kernel.path:
                 left.append(used)
     digest = hashlib.sha256(f"{DATA} {EXTENTS} {STRIDES}".encode())
     for path in (TRANSLATOR, *sorted(paths, key=lambda path: path.name)):
@@ -219,7 +218,8 @@ def written(entries: dict[tuple[str, str], list[Prepared]], llvm: list[int], tri
     body, listed, here = b"", [], machine.machine()
     for (name, digest), prepared in sorted(entries.items()):
         for one in sorted(prepared, key=lambda one: one.key):
-            packed, made = (zlib.compress(code, 9) for code in (one.code, one.made))
+            # Where there is no machine code nothing stands for it, not even what unpacks to nothing.
+            packed, made = (zlib.compress(code, 9) if code else b"" for code in (one.code, one.made))
             listed.append(
                 {
                     "kernel": name,

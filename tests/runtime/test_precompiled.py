@@ -249,6 +249,48 @@ def test_a_changed_source_and_a_damaged_file_are_left_to_numba(tmp_path: Path) -
         assert (found is not None) is serves, number
 
 
+def test_without_machine_code_it_is_made_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of a file that was written with FEATREG_KERNELS=bitcode, on the machine where it is read."""
+    in_place(corner_kernels)
+    monkeypatch.setattr(machine, "folder", lambda: tmp_path)
+    kernel: Any = corner_kernels.in_order
+    content = precompiled.file_of(kernel.path).read_bytes()
+    header, body = json.loads(content.partition(b"\n")[0]), content.partition(b"\n")[2]
+    entry = precompiled.current(kernel)[0]
+    start, size = entry["at"]
+    key = tuple(entry["key"])
+    code = zlib.decompress(body[start : start + size])
+    bare = precompiled.Prepared(key, entry["result"], entry["symbol"], tuple(entry["outputs"]), code)
+    path = tmp_path / "bare_kernels.py"
+    path.write_bytes(kernel.path.read_bytes())
+    entries = {("in_order", entry["source"]): [bare]}
+    path.with_suffix(".bc").write_bytes(precompiled.written(entries, header["llvm"], header["triple"]))
+    monkeypatch.setattr(precompiled, "_digest", lambda _: entry["source"])
+    found = precompiled.prepared(changed(kernel, path), key)
+    assert found is not None
+    xy, score = np.zeros((2, 2), np.int64), np.zeros(2, np.uint8)
+    found((np.array([4, 7, 2]), np.array([3, 9, 5], np.uint8), 3, xy, score))
+    assert score.tolist() == [9, 5]
+    assert len(list(tmp_path.glob("*.o"))) == 1
+
+
+def test_a_digest_is_of_all_that_a_kernel_calls_also_through_others_of_its_module(tmp_path: Path) -> None:
+    outer, inner = (tmp_path / f"{name}_kernels.py" for name in ("outer", "inner"))
+    outer.write_text("def called(x):\n    return between(x)\ndef between(x):\n    return deep(x)\n")
+    inner.write_text("def deep(x):\n    return called(x) if x else x\n")
+    scope: dict[str, Any] = {}
+    for path in (outer, inner):
+        made: dict[str, Any] = {}
+        exec(compile(path.read_text(), str(path), "exec"), made)  # what stands above
+        for name in {"called", "between", "deep"} & made.keys():
+            function = FunctionType(made[name].__code__, scope, name)
+            scope[name] = jit.Kernel(function, "never")
+    before = [precompiled.source_digest(scope[name]) for name in ("called", "between", "deep")]
+    inner.write_text(inner.read_text() + "#")
+    after = [precompiled.source_digest(scope[name]) for name in ("called", "between", "deep")]
+    assert all(one != other for one, other in zip(before, after, strict=True))
+
+
 def test_what_another_translator_made_is_left_to_numba(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     in_place(corner_kernels)
     kernel: Any = corner_kernels.in_order
