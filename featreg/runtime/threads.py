@@ -18,6 +18,9 @@ from featreg.errors import ParameterError
 
 T = TypeVar("T")
 
+#: What OpenCV had before each block of `opencv_threads` that has not ended, in the order in which they began.
+_before: list[list[int]] = []
+_before_lock = threading.Lock()
 #: The threads that were asked for around; None where nobody asked for more than one.
 _team: ContextVar[_Team | None] = ContextVar("featreg_threads", default=None)
 #: Parts for each thread: what one is late by, the others make up for. Fewest pixels of one: about 0.2 ms, where a
@@ -59,15 +62,28 @@ def worker_count(workers: Any, default: int | None = None, name: str = "workers"
 
 @contextmanager
 def opencv_threads(count: int) -> Iterator[None]:
-    """Run OpenCV on `count` threads inside the block, on as many as before after it; the setting is per process."""
+    """Run OpenCV on `count` threads inside the block, on as many as before after it.
+
+    The setting is the process's. Where blocks of several threads overlap, that of the last to begin holds, and OpenCV
+    has what it had when all have ended, in whichever order.
+    """
     import cv2
 
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(count)
+    with _before_lock:
+        mine = [cv2.getNumThreads()]
+        _before.append(mine)
+        cv2.setNumThreads(count)
     try:
         yield
     finally:
-        cv2.setNumThreads(before)
+        with _before_lock:
+            place = next(k for k, one in enumerate(_before) if one is mine)
+            if place == len(_before) - 1:
+                cv2.setNumThreads(mine[0])
+            else:
+                # A block that began later goes on, and gives back at its end what there was before this one.
+                _before[place + 1][0] = mine[0]
+            del _before[place]
 
 
 def single_threaded() -> AbstractContextManager[None]:
@@ -153,9 +169,14 @@ class _Team:
         job = _Job(work)
         helpers = min(self.size, len(work)) - 1
         while len(self._helpers) < helpers:
-            self._helpers.append(threading.Thread(target=_help, args=(self._given,), name="featreg", daemon=True))
-            self._helpers[-1].start()
-        for _ in range(helpers):
+            helper = threading.Thread(target=_help, args=(self._given,), name="featreg", daemon=True)
+            try:
+                helper.start()
+            except RuntimeError:
+                # The system has no more threads for us, or the interpreter is about to end: fewer do the same.
+                break
+            self._helpers.append(helper)
+        for _ in range(min(helpers, len(self._helpers))):
             self._given.put((copy_context(), job))
         job.take_part()
         return job.results()
@@ -198,6 +219,11 @@ class _Job:
                     self._found[i] = self._work[i]()
                 except BaseException as error:
                     self._errors[i] = error
+                    # What no thread has begun is left out. All that stands before `i` has been begun, so that the
+                    # first error of all is among those found.
+                    skipped = sum(1 for _ in self._next)
+                    with self._lock:
+                        self._left -= skipped
                 with self._lock:
                     self._left -= 1
                     last = self._left == 0
@@ -207,11 +233,17 @@ class _Job:
             _team.reset(token)
 
     def results(self) -> list[Any]:
-        """What the functions returned, when all have."""
+        """What the functions returned, when all have; the error of the first that raised one."""
         self._done.wait()
-        if self._errors:
-            raise self._errors[min(self._errors)]
-        return self._found
+        if not self._errors:
+            return self._found
+        error = self._errors[min(self._errors)]
+        self._errors.clear()
+        try:
+            raise error
+        finally:
+            # The error holds this frame: together they would keep what the functions hold until the next collection.
+            del error
 
 
 def use_one_thread() -> None:

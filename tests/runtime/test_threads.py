@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import subprocess
 import sys
 import threading
 import time
+import weakref
+from functools import partial
 from typing import Any
 
 import cv2
@@ -21,6 +24,7 @@ from featreg.runtime.threads import (
     end_helpers,
     in_parts,
     limited_threads,
+    opencv_threads,
     side_by_side,
     single_threaded,
     worker_count,
@@ -34,6 +38,25 @@ def test_opencv_gets_its_threads_back() -> None:
         with block:
             assert cv2.getNumThreads() == inside
         assert cv2.getNumThreads() == before
+
+
+def test_opencv_gets_its_threads_back_in_whichever_order_blocks_end() -> None:
+    """Two threads match at the same time, and the one that began first ends first."""
+    before, beside = cv2.getNumThreads(), cv2.getNumThreads() + 1
+    first, second, third = (opencv_threads(count) for count in (1, beside, 1))
+    for block in (first, second, third):
+        block.__enter__()
+    second.__exit__(None, None, None)
+    assert cv2.getNumThreads() == 1
+    first.__exit__(None, None, None)
+    assert cv2.getNumThreads() == 1
+    third.__exit__(None, None, None)
+    assert cv2.getNumThreads() == before
+    with opencv_threads(beside):
+        with opencv_threads(1):
+            pass
+        assert cv2.getNumThreads() == beside
+    assert cv2.getNumThreads() == before
 
 
 @pytest.mark.parametrize(("count", "algebra", "seen"), [(1, None, 1), (3, 1, 1), (None, 2, 2), (None, None, None)])
@@ -80,6 +103,57 @@ def test_work_runs_side_by_side_only_where_threads_were_asked_for(monkeypatch: p
         assert side_by_side([int, str]) == [0, ""]
         assert len({*side_by_side([later] * 9, threads.LEAST - 1)}) == 1
     assert threading.active_count() == before
+
+
+def test_work_is_done_where_no_more_threads_can_be_had(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Under a limit of processes, or while the interpreter ends."""
+
+    def none_left(self: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(threads, "available_processors", lambda: 3)
+    with limited_threads(3):
+        monkeypatch.setattr(threading.Thread, "start", none_left)
+        assert side_by_side([threading.get_ident] * 4) == [threading.get_ident()] * 4
+
+
+def test_after_an_error_nothing_more_is_begun(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(threads, "available_processors", lambda: 2)
+    ran: list[int] = []
+
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    def later(number: int) -> None:
+        time.sleep(0.01)
+        ran.append(number)
+
+    with limited_threads(2):
+        with pytest.raises(KeyboardInterrupt):
+            side_by_side([interrupted, *(partial(later, number) for number in range(200))])
+        assert len(ran) < 100
+        # The next work is done as ever.
+        assert side_by_side([int, str]) == [0, ""]
+
+
+def test_what_failed_keeps_nothing_alive(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(threads, "available_processors", lambda: 2)
+
+    class Large:
+        def work(self) -> None:
+            raise ZeroDivisionError
+
+    large = Large()
+    gone = weakref.ref(large)
+    gc.disable()
+    try:
+        with limited_threads(2):
+            with pytest.raises(ZeroDivisionError):
+                side_by_side([large.work, int])
+            del large
+        assert gone() is None
+    finally:
+        gc.enable()
 
 
 def test_parts_make_up_the_whole_whatever_their_number(monkeypatch: pytest.MonkeyPatch) -> None:
