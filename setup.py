@@ -13,20 +13,33 @@ from pathlib import Path
 from setuptools import setup
 from setuptools.command.build_py import build_py
 
+#: Each imports numba and LLVM for itself, and Windows has no pools of more than 61.
+MOST_WORKERS = 8
+
 
 class BuildWithKernels(build_py):
     """Copies the modules as ever, then writes the translated kernels beside them; in the sources where editable."""
 
     def run(self) -> None:
         super().run()
+        root = Path(__file__).resolve().parent if self.editable_mode else Path(self.build_lib).resolve()
+        if not self.editable_mode:
+            # What lay beside the sources was made for them as they were then, on whichever machine.
+            for old in root.rglob("*_kernels.bc"):
+                old.unlink()
         if os.environ.get("FEATREG_KERNELS") == "numba":
             return
-        root = Path(__file__).resolve().parent if self.editable_mode else Path(self.build_lib).resolve()
         script = root / "featreg" / "runtime" / "preparing.py"
-        done = subprocess.run([sys.executable, str(script), str(root), str(os.cpu_count() or 1)], check=False)
+        done = subprocess.run([sys.executable, str(script), str(root), str(worker_count())], check=False)
         if done.returncode:
             # The package works without: numba then compiles each kernel when it is first called.
             self.warn("the kernels could not be translated, the first calls will compile them")
+
+
+def worker_count() -> int:
+    """Processes that translate: one for each processor that this one may use, up to a few."""
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(usable, MOST_WORKERS)
 
 
 def index_text(readme: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import re
 import tomllib
@@ -122,3 +123,28 @@ def test_the_image_installs_as_make_does(steps: list[tuple[str, str]]) -> None:
     assert dict(steps)["USER"] not in ("root", "0")
     assert json.loads(dict(steps)["ENTRYPOINT"]) == ["featreg"]
     assert json.loads(dict(steps)["CMD"]) == ["--help"]
+
+
+def test_a_build_takes_no_translated_kernels_from_beside_the_sources(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    distribution = pytest.importorskip("setuptools").Distribution
+    spec = importlib.util.spec_from_file_location("featreg_setup", ROOT / "setup.py")
+    assert spec is not None
+    assert spec.loader is not None
+    setup = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(setup)
+    (tmp_path / "some").mkdir()
+    for name in ("__init__.py", "a_kernels.py", "a_kernels.bc", "table.bc"):
+        (tmp_path / "some" / name).write_text("")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("FEATREG_KERNELS", "numba")
+    command = setup.BuildWithKernels(
+        distribution({"script_name": "setup.py", "packages": ["some"], "package_data": {"": ["*.bc"]}})
+    )
+    command.build_lib = str(tmp_path / "build")
+    command.ensure_finalized()
+    command.run()
+    made = sorted(path.name for path in (tmp_path / "build").rglob("*.*"))
+    assert made == ["__init__.py", "a_kernels.py", "table.bc"]
+    assert 1 <= setup.worker_count() <= setup.MOST_WORKERS

@@ -62,6 +62,7 @@ def _module(name: str, kernels: dict[str, list[list[str]]]) -> dict[str, str]:
     module = importlib.import_module(name)
     precompiled = importlib.import_module("featreg.runtime.precompiled")
     precompiling = importlib.import_module("featreg.runtime.precompiling")
+    numba_error: type[Exception] = importlib.import_module("numba.core.errors").NumbaError
     missing: dict[str, str] = {}
     entries: dict[tuple[str, str], list[object]] = {}
     for called, keys in kernels.items():
@@ -72,7 +73,7 @@ def _module(name: str, kernels: dict[str, list[list[str]]]) -> dict[str, str]:
         for key in keys:
             try:
                 made = precompiling.translated(kernel, tuple(key))
-            except ValueError as error:
+            except (ValueError, numba_error) as error:
                 missing[f"{name}.{called}({', '.join(key)})"] = str(error)
                 continue
             entries.setdefault((called, precompiled.source_digest(kernel)), []).append(precompiled.ready(made))
