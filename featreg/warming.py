@@ -293,7 +293,9 @@ def cache_folders() -> set[Path]:
 def _folders(module: ModuleType) -> set[Path]:
     """Where numba keeps what is not prepared."""
     left = [kernel for kernel in _kernels(module).values() if not precompiled.current(kernel)]
-    kept = (kernel.dispatcher.stats.cache_path for kernel in left if kernel.inline == "never")
+    # Where NUMBA_DISABLE_JIT keeps numba from compiling, it hands back plain functions, which have no such place.
+    dispatchers = (kernel.dispatcher for kernel in left if kernel.inline == "never")
+    kept = (one.stats.cache_path for one in dispatchers if hasattr(one, "stats"))
     # Without a folder that can be written, code has no place.
     return {Path(folder) for folder in kept if folder is not None}
 

@@ -7,10 +7,13 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import pytest
 
 from featreg.runtime import jit
+from featreg.warming import _folders
 
 ROOT = Path(__file__).parents[2]
 
@@ -93,3 +96,17 @@ def test_what_is_not_prepared_is_sought_once(monkeypatch: pytest.MonkeyPatch) ->
 
 def _doubled(value: float) -> float:
     return 2 * value
+
+
+def test_where_numba_compiles_nothing_it_keeps_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With NUMBA_DISABLE_JIT what it makes of a kernel is the function itself."""
+    module: Any = ModuleType("some_kernels")
+
+    def twice(x: int) -> int:
+        return 2 * x
+
+    twice.__module__ = module.__name__
+    module.twice = jit.compiled(twice)
+    monkeypatch.setattr(jit, "_jit", lambda function, inline: function)
+    assert _folders(module) == set()
+    assert module.twice(21) == 42
