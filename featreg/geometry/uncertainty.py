@@ -173,7 +173,7 @@ def regional_covariance(
     model : fitted to these points
     reference_xy, secondary_xy : (M, 2) float64 px
     region : (M,) number of the region in which each point lies
-    weights : (M,) > 0, relative inverse variances, as in the fit; None for equal ones
+    weights : (M,) relative inverse variances, as in the fit, points of weight 0 left out; None for equal ones
     at : (N, 2) reference points
 
     Returns
@@ -183,7 +183,7 @@ def regional_covariance(
     Raises
     ------
     InputError
-        A model without known derivatives.
+        A model without known derivatives, or arrays that do not fit together.
 
     Notes
     -----
@@ -196,10 +196,15 @@ def regional_covariance(
     ----------
     P. S. Kott, "The delete-a-group jackknife", J. Official Statistics 17 (2001) 521.
     """
+    regions = np.asarray(region)
+    if regions.shape != (len(reference_xy),):
+        raise InputError(f"{len(reference_xy)} points need as many numbers of regions, got shape {regions.shape}")
     known = linearised(model, reference_xy, secondary_xy, weights, at=at)
     if isinstance(known, FailedFit):
         return known
-    return left_out_covariance(known, np.unique(region, return_inverse=True)[1].astype(np.int64), known.weights)
+    if weights is not None:
+        regions = regions[np.asarray(weights, np.float64) > 0]  # those that are left
+    return left_out_covariance(known, np.unique(regions, return_inverse=True)[1].astype(np.int64), known.weights)
 
 
 def left_out_covariance(
@@ -307,6 +312,8 @@ def linearised(
     Tie points of weight 0 are left out.
     """
     points = np.asarray(at, np.float64)
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise InputError(f"the points to predict must be an (N, 2) array of (x, y), got shape {points.shape}")
     if isinstance(model, CorrectedModel):
         mapped, there = model.known(reference_xy), model.known(points)
         if not (np.isfinite(mapped).all() and np.isfinite(there).all()):

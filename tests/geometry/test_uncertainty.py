@@ -153,6 +153,29 @@ def test_regional_covariance_sees_errors_that_neighbours_share() -> None:
     assert np.mean(independent) < 0.2 * np.mean(missed)
 
 
+def test_regional_covariance_leaves_points_without_weight_out() -> None:
+    rng, at = np.random.default_rng(5), np.array([[50.0, 50.0]])
+    xy = rng.uniform(0, 100, (60, 2))
+    noisy, region = xy + rng.normal(0, 0.3, xy.shape), (xy[:, 0] // 25).astype(np.int64)
+    weights = np.where(np.arange(60) < 20, 0.0, 2.0)
+    model = fitted(Affine, xy[20:], noisy[20:])
+    wanted = regional_covariance(model, xy[20:], noisy[20:], region[20:], at=at)
+    found = regional_covariance(model, xy, noisy, region, weights, at=at)
+    np.testing.assert_allclose(found, wanted, rtol=1e-9)  # type: ignore[arg-type]
+
+
+def test_regional_covariance_refuses_arrays_that_do_not_fit() -> None:
+    """Its kernel reads as many as there are points, whatever it is given."""
+    xy = scattered(30)
+    model, region = fitted(Affine, xy, xy), np.arange(30) % 5
+    for wrong in (region[:5], region[:, None], region[:0]):
+        with pytest.raises(InputError, match="30 points need as many numbers of regions, got shape"):
+            regional_covariance(model, xy, xy, wrong, at=xy)
+    for at in (xy[0], xy[:, :1], np.zeros((0, 3))):
+        with pytest.raises(InputError, match=r"must be an \(N, 2\) array"):
+            regional_covariance(model, xy, xy, region, at=at)
+
+
 def test_regional_covariance_needs_three_regions_that_can_be_left_out() -> None:
     xy = scattered(6)
     model = fitted(Affine, xy, xy)
