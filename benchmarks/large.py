@@ -67,7 +67,13 @@ class Neighbour:
         parts = paths, method, given, self.busy, self.idle, self.over
         self.process = context.Process(target=_busy, args=parts, daemon=True)
         self.process.start()
-        self.idle.wait()
+        self._rests()
+
+    def _rests(self) -> None:
+        """Wait until it does nothing."""
+        while not self.idle.wait(1):
+            if not self.process.is_alive():
+                raise RuntimeError("the other process ended, as it says above")
 
     @contextmanager
     def beside(self) -> Iterator[None]:
@@ -79,7 +85,7 @@ class Neighbour:
             yield
         finally:
             self.busy.clear()
-            self.idle.wait()
+            self._rests()
 
     def end(self) -> None:
         self.over.set()
