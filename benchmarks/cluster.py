@@ -47,7 +47,7 @@ WORKERS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 WORKER_START = 2.0
 #: What a store of many workers gives, bytes a second, how often an hour each worker dies, and seconds until another one
 #: stands in its place: of a spot machine in a bad hour.
-STORE, DEATHS, REPLACED = 3e9, 0.1, 60.0
+STORE, DEATHS, REPLACED = 3e9, 10.0, 60.0
 
 
 @dataclass(frozen=True)

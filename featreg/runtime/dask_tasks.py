@@ -60,6 +60,8 @@ class DaskTasks:
         pending: dict[Any, list[int]] = {}
         left = deque(enumerate(items))
         count, seconds = 0, 0.0
+        # Nobody asked while there was nothing to run.
+        self._seen = time.monotonic()
         try:
             while left or pending:
                 end_if_set(cancel)

@@ -94,6 +94,16 @@ def test_a_cluster_without_workers_is_waited_for_and_given_up(monkeypatch: pytes
         list(DaskTasks(client).run(_sum, (0,), [5], None))
 
 
+def test_workers_that_left_between_two_runs_are_waited_for_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [0.0]
+    monkeypatch.setattr("featreg.runtime.dask_tasks.time.monotonic", lambda: now[0])
+    client = Client()
+    tasks = DaskTasks(client)
+    assert dict(tasks.run(_sum, (0,), [5], None)) == {0: 5}
+    now[0], client.threads = 10 * dask_tasks.FORSAKEN, 0
+    assert dict(tasks.run(_sum, (0,), [5], None)) == {0: 5}
+
+
 @pytest.mark.parametrize(
     ("raised", "said"),
     [

@@ -543,3 +543,16 @@ def test_a_scene_is_probed_by_squares_of_its_own_pixels() -> None:
     assert equivalent_looks(seen) == pytest.approx(equivalent_looks(as_image(speckle[590:])), rel=0.05)
     small = ImageSource(as_image(speckle[600:700, :90]))
     assert sampled(small).shape == (100, 90)
+
+
+def test_a_narrow_strip_of_data_is_probed_too() -> None:
+    speckle = np.sqrt(np.random.default_rng(3).gamma(4.0, 0.25, (2000, 2000))).astype(np.float32)
+    y, x = np.mgrid[:2000, :2000]
+    whole = equivalent_looks(as_image(speckle[:500, :500]))
+    for width in (200, 100):
+        strip = sampled(ImageSource(as_image(speckle, mask=np.abs(x - y - 290) < width / 2)))
+        assert len(strip.pixels) <= SQUARES**2 * SIDE
+        assert equivalent_looks(strip) == pytest.approx(whole, rel=0.25)
+    nothing = sampled(ImageSource(Image(speckle, np.zeros(speckle.shape, np.bool_))))
+    assert nothing.shape == (SIDE, SIDE)
+    assert not nothing.mask.any()
