@@ -90,8 +90,10 @@ class Brief(Descriptor):
 
 def _places(xy: FloatArray, numbers: IntArray, number: int, level: Image, image: Image) -> IntArray:
     """(M, 2) pixels of a level of an image on which those of the points fall whose number is that."""
-    scale = (np.array(level.shape) / image.shape)[::-1]
-    return np.asarray(np.rint((xy[numbers == number] + 0.5) * scale - 0.5), np.int64)
+    # As the kernel that describes them has it, to the last bit: a share of the sides taken first rounds otherwise.
+    (height, width), (image_height, image_width) = level.shape, image.shape
+    at = (xy[numbers == number] + 0.5) * (width, height) / (image_width, image_height) - 0.5
+    return np.asarray(np.rint(at), np.int64)
 
 
 def _turns(angle: FloatArray) -> NDArray[np.int64]:

@@ -45,9 +45,8 @@ class RatioGloh(Descriptor):
     Departures: directions are counted relative to the keypoint's; samples are shared between cells; of the directions
     of a cell two harmonics are kept, which match as well as eight bins in less time; alpha never falls below `finest`,
     because finer gradients are speckle; samples lie 1.5 alpha apart by default, where the gradients are nearly
-    independent. Fields of large alpha are computed on a halved image unless
-    `exact`. What lies outside the image or near nodata counts
-    as no gradient; only keypoints that lie there themselves, or without any gradient, are dropped.
+    independent. Fields of large alpha are computed on a halved image unless `exact`. What lies outside the image or
+    near nodata counts as no gradient; only keypoints that lie there themselves, or without any gradient, are dropped.
     """
 
     support: Positive = 12.0

@@ -11,6 +11,7 @@ import numpy as np
 from annotated_types import Ge, Gt, Interval
 from numpy.typing import NDArray
 
+from featreg.errors import InputError
 from featreg.interfaces import Detector
 from featreg.registry import register
 from featreg.runtime.parameters import Count, Positive
@@ -141,6 +142,11 @@ class SarOfast(Detector):
         angle, numbers, shape = np.zeros(len(features)), features.level, image.shape
         counts = np.bincount(numbers).tolist()
         chain = pyramid(image, len(counts), self.factor)
+        if len(chain) < len(counts):
+            raise InputError(
+                f"keypoints of level {len(counts) - 1} are not of this image: its levels of factor {self.factor:g} end "
+                f"with {len(chain) - 1}"
+            )
         for number, (level, count) in enumerate(zip(chain, counts, strict=False)):
             if not count:
                 continue

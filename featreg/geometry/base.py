@@ -154,9 +154,7 @@ class MatrixModel(Model):
             return super().residuals(reference_xy, secondary_xy)
         q = np.asarray(secondary_xy, np.float64)
         x, y = self._mapped(np.asarray(reference_xy, np.float64))
-        x -= q[..., 0]
-        y -= q[..., 1]
-        return np.asarray(np.hypot(x, y))
+        return np.asarray(np.hypot(x - q[..., 0], y - q[..., 1]))
 
     def _mapped(self, p: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The coordinates of points (..., 2) by the first two rows of the matrix."""

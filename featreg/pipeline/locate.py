@@ -69,8 +69,9 @@ class Locate:
     def run(self, reference: Image, secondary: Image, model: Model, matches: Matches, rows: IntArray) -> Matches:
         """Return those of the matches in `rows` whose windows correlate, at their measured positions.
 
-        `origin` names the match of each; positions in the reference stay, those in the secondary are new. Covariances
-        are known up to a factor that they share, which a fit tells (`featreg.pipeline.aligned.variance_factor`).
+        `rows` (K,) are indices. `origin` names the match of each; positions in the reference stay, those in the
+        secondary are new. Covariances are known up to a factor that they share, which a fit tells
+        (`featreg.pipeline.aligned.variance_factor`).
         """
         reach = self.reach
         if not len(rows) or min(reference.shape) <= 2 * reach:
@@ -151,6 +152,8 @@ class Locate:
         at, offset, kept = np.empty((count, 2), np.int64), np.empty((count, 2), np.int64), np.empty(count, np.int64)
         back = np.ascontiguousarray(inverted(affine[None, :, :2])[0])
         forth, rows = np.ascontiguousarray(affine), np.ascontiguousarray(rows, np.int64)
+        if not 0 <= rows.min() <= rows.max() < len(matches):
+            raise IndexError(f"rows must be of {len(matches)} matches, got {rows.min()} to {rows.max()}")
         found = starts(
             matches.reference_xy, matches.secondary_xy, rows, forth, back, FAR_PX, self.reach, width, height,
             at, offset, kept,

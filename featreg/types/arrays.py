@@ -75,14 +75,16 @@ def points(values: ArrayLike, what: str) -> FloatArray:
 def numbers(values: ArrayLike, what: str, dtype: Any = np.float64) -> NDArray[Any]:
     """Return an array of `values` that nobody else writes to; an `InputError` where they are no numbers of that kind.
 
-    What is an array of that kind already, whole, with memory of its own and locked, is returned itself.
+    What is an array of that kind already, whole, with memory of its own and locked, is returned itself. Any other
+    becomes one in which the last axis varies fastest, as kernels are prepared for: columns put side by side by ``.T``
+    are not, nor is what `numpy.argwhere` finds.
     """
     if type(values) is np.ndarray and values.base is None and values.dtype == dtype:
         flags = values.flags
         if not flags.writeable and flags.c_contiguous:
             return values
     try:
-        return np.array(values, dtype=dtype)
+        return np.array(values, dtype=dtype, order="C")
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{what} must be an array of {np.dtype(dtype).name}: {error}") from None
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -126,6 +127,26 @@ def test_few_points_have_the_bits_of_the_whole_view(sar_texture: Texture) -> Non
     for i in range(len(xy)):
         alone = describe(as_image(amplitude), at(xy[i : i + 1], scale=26.0, angle=0.7), levels=2, factor=1.3)
         np.testing.assert_array_equal(bits(alone)[0], bits(wanted)[i])
+
+
+def test_points_halfway_between_pixels_of_a_level_are_made_where_they_are_described(
+    sar_texture: Texture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The third level of 1.2 of 300 columns has 174, and 99.5 * 174 / 300 ends in .5: what is asked for is its pixel."""
+    asked: list[Any] = []
+
+    def around(level: Image, places: Any, count: int, *_: Any) -> Any:
+        asked.append(places())
+        assert len(asked[-1]) == count
+        return despeckled_bytes(level)
+
+    module = sys.modules[type(registry.create("descriptor", "brief")).__module__]
+    monkeypatch.setattr(module, "despeckled_bytes_around", around)
+    image = as_image(sar_texture(300, 300))
+    describe(image, at([[99.5, 199.5]], scale=20.0 * 1.2**3), levels=4, factor=1.2)
+    (places,) = asked
+    # As the kernel rounds them.
+    assert places.tolist() == [[int(np.rint((x + 0.5) * 174 / 300 - 0.5)) for x in (99.5, 199.5)]]
 
 
 def test_scales_beyond_the_pyramid_use_its_ends(sar_texture: Texture) -> None:

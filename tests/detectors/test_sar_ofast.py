@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from featreg import registry
-from featreg.errors import ParameterError
+from featreg.errors import InputError, ParameterError
 from featreg.io import as_image
 from featreg.pipeline.feature_matcher import FeatureMatcher
 from featreg.sar.pyramid import SMALLEST, clear, pyramid, to_base
@@ -204,6 +204,14 @@ def test_directions_of_some_keypoints_are_those_of_all(sar_texture: Texture, cen
     rows = np.arange(0, len(found), 7)
     assert len(np.unique(found.angle)) > 200
     np.testing.assert_array_equal(detector.oriented(picture, places.take(rows)).angle, found.angle[rows])
+
+
+def test_keypoints_of_levels_that_an_image_does_not_have_are_refused(sar_texture: Texture) -> None:
+    picture = as_image(sar_texture(100, 110))
+    detector = registry.create("detector", "sar-ofast", n_features=50)
+    found = detector.detect_places(picture)
+    with pytest.raises(InputError, match=r"level 40 .* end with 6"):
+        detector.oriented(picture, found.having(level=40))
 
 
 # Levels that are not searched

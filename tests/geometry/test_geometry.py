@@ -61,6 +61,7 @@ def test_known_model_is_recovered_exactly(model: Model) -> None:
     again = fitted(type(model), xy, model(xy))
     np.testing.assert_allclose(again(xy), model(xy), atol=1e-9)
     np.testing.assert_allclose(again.residuals(xy, model(xy)), 0, atol=1e-9)
+    np.testing.assert_allclose(model.residuals(xy[:1], xy), np.hypot(*(model(xy[:1]) - xy).T), rtol=1e-12)
 
 
 def test_fewest_points_suffice(model: Model) -> None:

@@ -222,3 +222,6 @@ def test_what_can_be_measured_under_an_affine_map_is_what_any_map_says() -> None
     assert 30 < len(wanted[2]) < 290
     for one, other in zip(Locate()._near_affine(image, model.matrix[:2], matches, rows), wanted, strict=True):
         np.testing.assert_array_equal(one, other)
+    for wrong in ([3, 400], [-1, 3]):
+        with pytest.raises(IndexError, match="400 matches"):
+            Locate().run(image, image, model, matches, np.array(wrong))

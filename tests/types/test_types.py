@@ -12,7 +12,7 @@ from featreg.errors import InputError
 from featreg.geometry import Translation
 from featreg.interfaces import FailedFit
 from featreg.results.registration import Registration
-from featreg.types import Features, Matches
+from featreg.types import Features, Matches, read_only
 from featreg.types.arrays import middle
 
 
@@ -223,6 +223,16 @@ def test_rows_of_each_kind_are_those_of_indexing() -> None:
     for wrong in (np.array([9]), np.ones(8, np.bool_)):
         with pytest.raises(IndexError):
             features.take(wrong)
+
+
+def test_points_put_side_by_side_lie_in_memory_as_kernels_take_them() -> None:
+    """Of two columns that a transpose joins, or `numpy.argwhere`, every kernel would be compiled anew, for seconds."""
+    xy = np.array([np.arange(5.0), np.arange(5.0) + 7]).T
+    assert not xy.flags.c_contiguous
+    features, matches = Features(xy, 1.0, 0.0, 1.0, 0), Matches(xy, read_only(xy.copy(order="F")), 1.0)
+    for held in (features.xy, matches.reference_xy, matches.secondary_xy):
+        np.testing.assert_array_equal(held, xy)
+        assert held.flags.c_contiguous
 
 
 def test_features_with_another_column_are_checked_as_new_ones_are() -> None:
