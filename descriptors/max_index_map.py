@@ -50,7 +50,7 @@ class MaxIndexMap(Descriptor):
     noise : standard deviations above the mean noise energy that counts as structure
     floor : added to the sum of amplitudes, see `featreg.sar.gradients.phase_congruency`
     view : "soft-log" or "amplitude", what is filtered
-    exact : take the noise of each orientation from all pixels, as the paper does, instead of one for all from some
+    exact : take the noise of each orientation from all pixels, as Kovesi has it, instead of one for all from some
 
     Notes
     -----

@@ -41,7 +41,7 @@ class PhaseCongruency(Detector):
     noise : standard deviations above the mean noise energy that counts as structure
     floor : added to the sum of amplitudes, see `featreg.sar.gradients.phase_congruency`
     view : "soft-log" or "amplitude", what is filtered
-    exact : take the noise of each orientation from all pixels, as the paper does, instead of one for all from some, and
+    exact : take the noise of each orientation from all pixels, as Kovesi has it, instead of one for all from some, and
         quantise a moment by its greatest value, instead of the 99th percentile of some
 
     Notes

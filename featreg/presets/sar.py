@@ -130,7 +130,7 @@ SAR: Mapping[str, Preset] = {
         pixels_per_feature=_PIXELS,
     ),
     "sar-sift-paper": Preset(
-        "SAR-Harris and ratio descriptors as in Dellinger et al. 2015, ratio test, RANSAC",
+        "SAR-Harris and ratio descriptors after Dellinger et al. 2015, ratio test, RANSAC",
         detector=Part("sar-harris", _PAPER_HARRIS),
         # Samples half an alpha apart: a pixel where alpha is least.
         descriptor=Part("ratio-gloh", {"soft": False, "harmonics": 4, "step": 1 / 24, "exact": True}),
@@ -217,7 +217,7 @@ SAR: Mapping[str, Preset] = {
         for_unlike=True,
     ),
     "rift-paper": Preset(
-        "RIFT as in Li, Hu and Ai 2020, made rotation invariant as in RIFT2",
+        "RIFT after Li, Hu and Ai 2020, made rotation invariant as in RIFT2",
         # The least contrast is that of the authors' program, 0.05 of the greatest moment.
         detector=Part("phase-congruency", {**_PAPER_CONGRUENCY, "subpixel": "none", "threshold": 13}),
         descriptor=Part("max-index-map", _PAPER_INDEX_MAP),
