@@ -34,8 +34,10 @@ def kept(array: A) -> A:
     """Return `array` such that nobody writes to it later: itself where it is locked, else a locked copy.
 
     Whoever makes a large array for an object calls `read_only` on it first and so gives it away. A locked view of what
-    can be written to is copied too.
+    can be written to is copied too, and so is what lies column by column, for which every kernel would be compiled.
     """
+    if array.flags.fnc:
+        return read_only(array.copy())
     part: Any = array
     while isinstance(part, np.ndarray):
         if part.flags.writeable:

@@ -64,7 +64,7 @@ class Image(ReadOnlyArrays, Shown):
     Notes
     -----
     Use `featreg.io.as_image` to make one from a path or a plain array. Arrays that can be written to are copied, and
-    those that are locked shared.
+    those that are locked shared, unless they lie column by column.
     """
 
     pixels: NDArray[np.float32] | NDArray[np.complex64]

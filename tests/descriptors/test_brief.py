@@ -132,7 +132,7 @@ def test_few_points_have_the_bits_of_the_whole_view(sar_texture: Texture) -> Non
 def test_points_halfway_between_pixels_of_a_level_are_made_where_they_are_described(
     sar_texture: Texture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The third level of 1.2 of 300 columns has 174, and 99.5 * 174 / 300 ends in .5: what is asked for is its pixel."""
+    """The third level of 1.2 of 300 columns has 174: (99.5 + 0.5) * 174 / 300 is whole, with the share first not."""
     asked: list[Any] = []
 
     def around(level: Image, places: Any, count: int, *_: Any) -> Any:

@@ -12,7 +12,7 @@ from featreg.errors import InputError
 from featreg.geometry import Translation
 from featreg.interfaces import FailedFit
 from featreg.results.registration import Registration
-from featreg.types import Features, Matches, read_only
+from featreg.types import Features, Image, Matches, read_only
 from featreg.types.arrays import middle
 
 
@@ -233,6 +233,11 @@ def test_points_put_side_by_side_lie_in_memory_as_kernels_take_them() -> None:
     for held in (features.xy, matches.reference_xy, matches.secondary_xy):
         np.testing.assert_array_equal(held, xy)
         assert held.flags.c_contiguous
+    turned = read_only(np.arange(12, dtype=np.float32).reshape(3, 4).T)
+    image = Image(turned, read_only(turned > 3))
+    np.testing.assert_array_equal(image.pixels, turned)
+    assert image.pixels.flags.c_contiguous
+    assert image.mask.flags.c_contiguous
 
 
 def test_features_with_another_column_are_checked_as_new_ones_are() -> None:
