@@ -8,7 +8,7 @@ from functools import lru_cache, partial
 from typing import Annotated
 
 import numpy as np
-from annotated_types import Ge, Gt, Interval, MultipleOf
+from annotated_types import Ge, Interval, MultipleOf
 from numpy.typing import NDArray
 
 from featreg.interfaces import Descriptor
@@ -32,7 +32,9 @@ class Brief(Descriptor):
     radius : of the comparisons, in pixels of the level; also the keypoint scale that belongs to the first level
     spread : standard deviation of the samples around the keypoint, in pixels of the level
     sigma : of the Gaussian that smooths the log-amplitude
-    levels, factor : of the pyramid; a keypoint of scale radius * factor^n is described on level n
+    levels, factor : of the pyramid; a keypoint of scale radius * factor^n is described on level n, a larger one than
+        there are levels for on the last, by less around it than it was found by: where the detector is given more
+        levels, or leaves more of the finest out, this is to be given as many as both together
     oriented : False leaves the comparisons upright, whatever the keypoint's angle
 
     Notes
@@ -49,10 +51,10 @@ class Brief(Descriptor):
 
     bits: Annotated[int, Ge(256), MultipleOf(256)] = 256
     radius: Annotated[float, Interval(ge=5, le=100)] = SUPPORT
-    spread: Annotated[float, Ge(1)] = 9.0
+    spread: Annotated[float, Interval(ge=1, lt=math.inf)] = 9.0
     sigma: Positive = 1.0
     levels: Count = 8
-    factor: Annotated[float, Gt(1)] = 1.2
+    factor: Annotated[float, Interval(gt=1, lt=math.inf)] = 1.2
     oriented: bool = True
 
     def reach_of(self, scale: float) -> float:

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated
 
-from annotated_types import Ge, Gt, Interval
+from annotated_types import Ge, Interval
 
 from featreg.errors import ParameterError
 from featreg.interfaces import Descriptor
@@ -57,9 +57,9 @@ class GaborDaisy(Descriptor):
 
     scales: Count = 1
     sigma: Annotated[float, Interval(ge=0.5, le=100)] = 2.0
-    factor: Annotated[float, Gt(1)] = math.sqrt(2)
+    factor: Annotated[float, Interval(gt=1, lt=math.inf)] = math.sqrt(2)
     orientations: Annotated[int, Ge(2)] = 3
-    floor: Annotated[float, Ge(0)] = 0.01
+    floor: Annotated[float, Interval(ge=0, lt=math.inf)] = 0.01
     magnification: Positive = 1.0
 
     def __post_init__(self) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from annotated_types import Ge, Gt, Interval
+from annotated_types import Ge, Interval
 
 from featreg.errors import ParameterError
 from featreg.interfaces import Descriptor
@@ -71,11 +71,11 @@ class GaborOdd(Descriptor):
 
     scales: Count = 1
     sigma: Annotated[float, Interval(ge=0.5, le=100)] = 2.0
-    factor: Annotated[float, Gt(1)] = math.sqrt(2)
+    factor: Annotated[float, Interval(gt=1, lt=math.inf)] = math.sqrt(2)
     orientations: Annotated[int, Ge(2)] = 3
-    floor: Annotated[float, Ge(0)] = 0.01
+    floor: Annotated[float, Interval(ge=0, lt=math.inf)] = 0.01
     step: Step = 0.125
-    spread: Annotated[float, Ge(1)] = math.sqrt(2)
+    spread: Annotated[float, Interval(ge=1, lt=math.inf)] = math.sqrt(2)
     harmonics: Harmonics = 2
     magnification: Positive = 1.0
     exact: bool = False

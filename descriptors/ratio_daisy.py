@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from annotated_types import Ge, Gt
+from annotated_types import Interval
 
 from featreg.interfaces import Descriptor
 from featreg.registry import register
@@ -43,8 +43,8 @@ class RatioDaisy(Descriptor):
 
     support: Positive = 12.0
     finest: Positive = 2.0
-    factor: Annotated[float, Gt(1)] = 2.0
-    floor: Annotated[float, Ge(0)] = 0.01
+    factor: Annotated[float, Interval(gt=1, lt=math.inf)] = 2.0
+    floor: Annotated[float, Interval(ge=0, lt=math.inf)] = 0.01
 
     def reach_of(self, scale: float) -> float:
         """The radius, and twice the exponential weight of the gradients at its rim."""

@@ -50,8 +50,8 @@ class BlockSarHarris(Detector):
     integration: Positive = 0.8
     d: Annotated[float, Interval(ge=0, lt=0.25)] = 0.04
     threshold: Annotated[float, Ge(0)] = 1e-8
-    floor: Annotated[float, Ge(0)] = 0.01
-    support: Annotated[float, Ge(1)] = 24.0
+    floor: Annotated[float, Interval(ge=0, lt=math.inf)] = 0.01
+    support: Annotated[float, Interval(ge=1, lt=math.inf)] = 24.0
 
     @property
     def reach(self) -> float:

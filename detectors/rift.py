@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Ge, Interval
+from annotated_types import Interval
 
 from featreg.interfaces import Detector
 from featreg.registry import register
@@ -59,7 +59,7 @@ class PhaseCongruency(Detector):
     n_features: Count = 5000
     corner_share: Annotated[float, Interval(ge=0, le=1)] = 0.5
     threshold: Annotated[int, Interval(ge=0, le=254)] = 5
-    support: Annotated[float, Ge(3)] = SUPPORT
+    support: Annotated[float, Interval(ge=3, le=1000)] = SUPPORT
     subpixel: Literal["centroid", "none"] = "centroid"
     sigma: Annotated[float, Interval(gt=0, lt=100)] = 0.8
     scales: Scales = 2

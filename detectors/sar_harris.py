@@ -111,7 +111,7 @@ class SarHarris(Detector):
     integration: Positive = 0.8
     d: Annotated[float, Interval(ge=0, lt=0.25)] = 0.04
     threshold: Annotated[float, Ge(0)] = 1e-3
-    floor: Annotated[float, Ge(0)] = 0.01
+    floor: Annotated[float, Interval(ge=0, lt=math.inf)] = 0.01
     quota_decay: Annotated[float, Ge(1)] = 2**0.5
     support: Positive = 12.0
     finest: Positive = 2.0

@@ -8,7 +8,7 @@ from functools import partial
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from annotated_types import Ge, Gt, Interval
+from annotated_types import Ge, Interval
 from numpy.typing import NDArray
 
 from featreg.errors import InputError
@@ -71,9 +71,9 @@ class SarOfast(Detector):
 
     n_features: Count = 5000
     levels: Count = 8
-    factor: Annotated[float, Gt(1)] = 1.2
+    factor: Annotated[float, Interval(gt=1, lt=math.inf)] = 1.2
     alpha: Positive = 2.0
-    floor: Annotated[float, Ge(0)] = 0.1
+    floor: Annotated[float, Interval(ge=0, lt=math.inf)] = 0.1
     threshold: Annotated[int, Interval(ge=0, le=254)] = 10
     quota_decay: Annotated[float, Ge(1)] = 2.5
     support: Annotated[float, Interval(ge=3, le=1000)] = SUPPORT

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import re
 from collections.abc import Iterator
 from typing import Any
@@ -94,7 +95,13 @@ def test_a_list_of_filters_is_as_good_as_a_tuple(own: str) -> None:
         ("mine", changed(methods=("sift",)), "is a choice of methods and cannot have a detector of its own"),
         ("mine", changed(matcher=featreg.Part("patch-grid")), "has a matcher, beside which a detector does nothing"),
         ("mine", changed(locate="no"), "locate must be True or False, got 'no'"),
-        ("mine", changed(pixels_per_feature="many"), "pixels_per_feature must be a number, got 'many'"),
+        (
+            "mine",
+            changed(pixels_per_feature="many"),
+            "pixels_per_feature must be a finite number from 0 on, got 'many'",
+        ),
+        ("mine", changed(pixels_per_feature=True), "pixels_per_feature must be a finite number from 0 on, got True"),
+        ("mine", changed(pixels_per_feature=math.nan), "pixels_per_feature must be a finite number from 0 on, got nan"),
         ("mine", changed(trust=[0.5]), "trust must be a mapping, got [0.5]"),
         ("mine", changed(summary=None), "summary must be a line of text, got None"),
         (

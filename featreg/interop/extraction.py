@@ -78,8 +78,12 @@ class Extractor:
     """What `extractor` makes: arrays and `cv2.KeyPoint` in, `cv2.KeyPoint` and descriptors out.
 
     Arrays are (H, W), real or complex, of any depth. A mask is (H, W), non-zero where features may lie; as everywhere
-    in this package it marks pixels that are data, so no feature rests on a pixel outside it. This is no
-    `cv2.Feature2D`: a subclass written in Python ends the process when OpenCV calls a method that it lacks.
+    in this package it marks pixels that are data, so no feature rests on a pixel outside it. Each image is looked at by
+    itself, at full size: where a detector leaves scales out of large images (`skip` of sar-ofast, `thin` and `coarse`
+    of sar-harris, `thin` of bf-sift), it may do so in one of two images and not in the other, which `featreg.match`
+    sees to. For images of different sizes set these parameters, as in ``extractor("sar-harris", thin=False)``, or give
+    the detector that ``detector.for_pair(reference, secondary)`` returns. This is no `cv2.Feature2D`: a subclass
+    written in Python ends the process when OpenCV calls a method that it lacks.
     """
 
     detector: Detector

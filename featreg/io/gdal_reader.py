@@ -25,6 +25,7 @@ from featreg.io.reader import Band, Raster
 from featreg.io.rpc_file import rpc_beside
 from featreg.io.scales import scale_in_name, scale_in_words
 from featreg.io.window import Window
+from featreg.runtime.digests import digest_value
 from featreg.types import BoolArray, Geolocation
 
 #: Bytes that GDAL may keep of the tiles it has decoded, in each process; two rows of tiles of a wide scene.
@@ -113,6 +114,7 @@ class GdalReader:
                         gains[i],
                         offsets[i],
                         by_file,
+                        digest_value(dataset.colormap(i + 1)) if colours[i] == ColorInterp.palette else "",
                     )
                 )
             return found

@@ -28,6 +28,7 @@ class Band:
     nodata : the value of samples that are not data, if the file states one
     gain, offset : value = gain * sample + offset
     said_by_file : whether `said` is what the name of the file states, not something inside it
+    palette : digest of the colours that stand for its samples; "" where they stand for themselves
     """
 
     name: str
@@ -39,6 +40,7 @@ class Band:
     gain: float = 1.0
     offset: float = 0.0
     said_by_file: bool = False
+    palette: str = ""
 
     @property
     def is_complex(self) -> bool:

@@ -6,15 +6,17 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Interval
 
 from featreg.errors import ParameterError
 from featreg.geometry.base import decompose
 from featreg.interfaces import Descriptor, Detector, Matcher, Model, Nearest, Plugin
 from featreg.pipeline.aligned import linear_parts
 from featreg.runtime.buffers import keeping
+from featreg.runtime.parameters import Count, checked
 from featreg.runtime.threads import side_by_side
 from featreg.runtime.timing import stage
 from featreg.sar.pyramid import pyramid, to_base, valid_width
@@ -36,6 +38,7 @@ LEAST_SHARE, WORTH = 0.5, 0.85
 LEAST_SIDE = 64
 
 
+@checked("")
 @dataclass(frozen=True)
 class FeatureMatcher(Matcher):
     """Detect, describe, pair.
@@ -64,9 +67,9 @@ class FeatureMatcher(Matcher):
     detector: Detector
     descriptor: Descriptor | None
     nearest: Nearest
-    n_features: int = 5000
+    n_features: Count = 5000
     common_rotation: bool = True
-    pixels_per_feature: float = 0.0
+    pixels_per_feature: Annotated[float, Interval(ge=0, lt=math.inf)] = 0.0
 
     @property
     def reach(self) -> float:

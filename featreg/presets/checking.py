@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import replace
@@ -53,11 +54,13 @@ def _hold_together(name: str, preset: Preset) -> None:
             for switch in ("locate", "refine", "common_rotation", "robust", "for_unlike")
         ),
         *((values, Mapping, "a mapping") for values in ("trust", "refinement")),
-        ("pixels_per_feature", int | float, "a number"),
         ("summary", str, "a line of text"),
     ):
         if not isinstance(getattr(preset, field_name), kind):
             raise PluginError(f"method '{name}': {field_name} must be {words}, got {getattr(preset, field_name)!r}")
+    pixels = preset.pixels_per_feature
+    if isinstance(pixels, bool) or not isinstance(pixels, int | float) or not 0 <= pixels < math.inf:
+        raise PluginError(f"method '{name}': pixels_per_feature must be a finite number from 0 on, got {pixels!r}")
     own = [role for role, _ in preset.parts]
     if preset.methods:
         choices = [one for one in preset.methods if one == name or (one in PRESETS and PRESETS[one].methods)]

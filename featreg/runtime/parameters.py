@@ -130,13 +130,15 @@ class Parameter:
         return ("" if parts or not traits else "that is ") + " and ".join(parts + traits)
 
     def allows(self, value: Any) -> bool:
-        """Whether the parameter may have this value; a numpy scalar counts as the number it is, NaN as in no range."""
+        """Whether the parameter may have this value; a numpy scalar counts as the number it is, NaN as none."""
         if value is None or self.kind is None:
             return self.optional
         if self.choices:
             plain = value.item() if isinstance(value, np.generic) else value
             return any(type(plain) is type(choice) and plain == choice for choice in self.choices)
         if isinstance(value, bool | np.bool_) is not (self.kind is bool) or not isinstance(value, KINDS[self.kind][1]):
+            return False
+        if value != value:
             return False
         within = all(BOUNDS[key](value, bound) for key, bound in self.bounds.items())
         return within and all(holds(value) for holds in self.predicates)

@@ -86,9 +86,19 @@ def numbers(values: ArrayLike, what: str, dtype: Any = np.float64) -> NDArray[An
         if not flags.writeable and flags.c_contiguous:
             return values
     try:
-        return np.array(values, dtype=dtype, order="C")
+        made = np.array(values, dtype=dtype, order="C")
+        # Floats become integers by losing what they have behind the point.
+        if made.dtype.kind in "iu" and not _whole(values, made):
+            raise ValueError("some have fractions")
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{what} must be an array of {np.dtype(dtype).name}: {error}") from None
+    return made
+
+
+def _whole(values: ArrayLike, made: NDArray[Any]) -> bool:
+    """Whether values were whole numbers before they were `made` such."""
+    given = values if isinstance(values, np.ndarray) else np.asarray(values)
+    return given.dtype.kind != "f" or bool((given == made).all())
 
 
 def finite(array: FloatArray, what: str) -> FloatArray:

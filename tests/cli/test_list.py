@@ -61,7 +61,10 @@ def test_list_of_a_name_shows_defaults_ranges_and_meanings(run: Run) -> None:
     code, out, err = run("list", "sar-ofast")
     assert (code, err) == (0, "")
     assert out.startswith("detector\n  sar-ofast\n    FAST corners")
-    assert "    levels = 8 (a whole number of at least 1)\n    factor = 1.2 (a number above 1)\n        pyramid" in out
+    assert (
+        "    levels = 8 (a whole number of at least 1)\n    factor = 1.2 (a number above 1 and finite)\n        pyramid"
+        in out
+    )
     assert "    edge = log ('log' or 'eq5')\n" in out
     assert "    threshold = 3.0 (a number above 0 and finite)\n" in run("list", "filter", "--verbose")[1]
 

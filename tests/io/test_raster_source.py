@@ -302,6 +302,28 @@ def test_what_lies_beside_a_file_is_seen_when_it_changes(tmp_path: Path) -> None
     np.testing.assert_array_equal(bare.read(whole).pixels, samples.byteswap())
 
 
+def test_a_palette_beside_a_scene_tells_it_from_another(tmp_path: Path) -> None:
+    """Its colours are the samples that are read."""
+    import rasterio
+
+    path, identities, means = tmp_path / "a.tif", [], []
+    with rasterio.open(path, "w", driver="GTiff", width=64, height=48, count=1, dtype="uint8") as dataset:
+        dataset.write(np.random.default_rng(0).integers(0, 4, (48, 64)).astype(np.uint8), 1)
+    for step in (10, 20):
+        entries = "".join(
+            f'<Entry c1="{step * k}" c2="{step * k}" c3="{step * k}" c4="255"/>' for k in range(256 // step)
+        )
+        Path(f"{path}.aux.xml").write_text(
+            '<PAMDataset><PAMRasterBand band="1"><ColorInterp>Palette</ColorInterp>'
+            f"<ColorTable>{entries}</ColorTable></PAMRasterBand></PAMDataset>"
+        )
+        source = RasterSource(str(path), scale="amplitude")
+        identities.append(source.identity())
+        means.append(float(source.read(Window(0, 0, 64, 48)).amplitude.mean()))
+    assert means[1] == pytest.approx(2 * means[0], rel=0.1)
+    assert identities[0] != identities[1]
+
+
 def test_what_lies_beside_a_scene_tells_it_from_another(tmp_path: Path) -> None:
     import rasterio
 

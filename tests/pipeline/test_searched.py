@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 
 import featreg
 from featreg import registry
+from featreg.errors import ParameterError
 from featreg.interfaces import Detector
 from featreg.io import as_image
 from featreg.pipeline.assembly import assemble
+from featreg.pipeline.feature_matcher import FeatureMatcher
 from featreg.results.registration import Registration
 from featreg.results.searching import searched_words, to_search_all
 from featreg.sar.pyramid import valid_width
@@ -120,6 +122,32 @@ def test_names_and_radii_follow_the_part_and_the_reduction() -> None:
     assert told == Searched(0.5, "pixels_per_feature", (6.0,), {"detector.skip": (2.0, 4.0)})
     assert Searched().whole
     assert not told.whole
+
+
+@pytest.mark.parametrize("wrong", [True, float("nan"), float("inf"), -1.0])
+def test_how_many_pixels_a_feature_needs_is_a_number(wrong: Any) -> None:
+    parts = registry.create("detector", "orb"), None, registry.create("nearest", "brute-force")
+    with pytest.raises(ParameterError, match="'pixels_per_feature' must be a number"):
+        FeatureMatcher(*parts, pixels_per_feature=wrong)
+    with pytest.raises(ParameterError, match="'pixels_per_feature' must be a number"):
+        assemble("sar-sift", pixels_per_feature=wrong)
+
+
+def test_no_number_of_a_plugin_may_be_nan_and_none_of_our_own_sizes_infinite() -> None:
+    """Infinite are thresholds that nothing or everything passes, and what other libraries take."""
+    for kind in ("detector", "descriptor", "nearest", "matcher", "filter"):
+        for entry in registry.entries(kind):
+            for name, parameter in entry.declared.items():
+                if parameter.kind is float:
+                    assert not parameter.allows(float("nan")), (entry.name, name)
+                    if entry.name in OWN and "threshold" not in name and name != "quota_decay":
+                        assert not parameter.allows(float("inf")), (entry.name, name)
+
+
+OWN = (
+    *("sar-ofast", "sar-harris", "block-sar-harris", "phase-congruency", "bf-sift", "brief", "max-index-map"),
+    *("ratio-gloh", "ratio-daisy", "gabor-odd", "gabor-daisy"),
+)
 
 
 # Strips of valid pixels in a frame
