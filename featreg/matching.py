@@ -244,6 +244,7 @@ def keypoints_of(
     band: BandLike = None,
     focus: Focus | None = None,
     block: int | bool | None = None,
+    split: str | None = None,
     **keywords: Any,
 ) -> FloatArray | None:
     """(N, 2) keypoints that a method looks at in an image, at most its budget; None where it has no detector.
@@ -251,7 +252,7 @@ def keypoints_of(
     `mask` and `band` are those of this image; the other keywords are those of `match` that build the pipeline. An image
     that is so large that it is worked on in blocks, or for which blocks are asked, is looked at block by block.
     """
-    size = block_side(block, None, None, None)
+    size = block_side(block, None, None, None, split)
     reading: Any = {"nodata": nodata, "scale": scale, "calibrate": calibrate, "mask": mask, "band": band}
     whole: Image | None
     if focus is not None:
@@ -265,7 +266,7 @@ def keypoints_of(
     if whole is None:
         from featreg.scene.keypoints import scene_keypoints
 
-        return scene_keypoints(open_source(image, **reading), pipelines[0], _side(size))
+        return scene_keypoints(open_source(image, **reading), pipelines[0], _side(size), split or SPLITS[0])
     if focus is not None and whole.is_complex:
         from featreg.focusing.inputs import focused_input
 

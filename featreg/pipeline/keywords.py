@@ -91,12 +91,14 @@ def deciding(keywords: Mapping[str, Any]) -> dict[str, Any]:
 
 def of_keypoints(keywords: Mapping[str, Any]) -> dict[str, Any]:
     """Those keywords on which the keypoints of one image depend, those of its role apart: the pipeline's, how it is
-    read, and as `block` whether it is in blocks, which others than that ask for as well.
+    read, and as `block` whether it is in blocks, which others than that ask for as well, and how they are divided.
     """
     roles = ("reference_mask", "secondary_mask", "reference_band", "secondary_band")
     found = {name: value for name, value in _kept(keywords, "method", "part", "image") if name not in roles}
     asked = any(keywords.get(name) is not None for name in ("dem", "height", "split"))
-    block = keywords.get("block")
+    block, split = keywords.get("block"), keywords.get("split")
+    if split == "proportional":
+        found["split"] = split
     if block is None and (asked or keywords.get("model") == "rpc-bias"):
         block = True
     return found if block is None else {**found, "block": block}

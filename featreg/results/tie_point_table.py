@@ -117,8 +117,10 @@ def _arrow_column(values: NDArray[Any]) -> Any:
 
     finite = np.isfinite(values) if values.dtype.kind == "f" else None
     known = None if finite is None or finite.all() else bits(finite)
-    held = bits(values) if values.dtype.kind == "b" else pa.py_buffer(np.ascontiguousarray(values))
-    return pa.Array.from_buffers(pa.from_numpy_dtype(values.dtype), len(values), [known, held])
+    # Arrow takes the type of the other byte order, and its bytes for those of this one.
+    kind = values.dtype.newbyteorder("=")
+    held = bits(values) if kind.kind == "b" else pa.py_buffer(np.ascontiguousarray(values, kind))
+    return pa.Array.from_buffers(pa.from_numpy_dtype(kind), len(values), [known, held])
 
 
 def no_columns(table: Mapping[str, Any]) -> dict[str, NDArray[np.float64]]:

@@ -54,6 +54,7 @@ def test_kinds_of_keywords() -> None:
     assert deciding(given) == {k: v for k, v in given.items() if k not in ("workers", "progress")}
     assert of_keypoints(given) == {"method": "rift", "nodata": 0, "fsc.threshold": 2.0, "block": 300}
     assert of_keypoints({"dem": "a.tif"}) == of_keypoints({"split": "prior"}) == {"block": True}
+    assert of_keypoints({"split": "proportional"}) == {"split": "proportional", "block": True}
     assert of_keypoints({"model": "rpc-bias"}) == {"model": "rpc-bias", "block": True}
     assert of_keypoints({"dem": "a.tif", "block": 240}) == {"block": 240}
 

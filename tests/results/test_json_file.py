@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import time
 from dataclasses import replace
@@ -17,6 +18,7 @@ from featreg.interfaces import FailedFit
 from featreg.results.input_image import InputImage
 from featreg.results.json_file import MAX_ROWS, plain, registration_to_dict
 from featreg.results.registration import Registration
+from featreg.results.tie_point_table import parquet_of
 from featreg.types import Gate, Matches
 
 TOP = ["schema_version", "method", "status", "reason", "gates", "seed", "reference", "secondary"]
@@ -226,6 +228,20 @@ def test_beyond_20000_rows_stand_in_parquet(tmp_path: Path) -> None:
     score[0] = np.nan
     assert_same(replace(made, matches=replace(made.matches, score=score)), read)
     assert sorted(p.name for p in tmp_path.iterdir() if p.is_file()) == ["out.json", "out.tie_points.parquet"]
+
+
+def test_columns_of_any_layout_go_to_parquet() -> None:
+    pq = pytest.importorskip("pyarrow.parquet")
+    columns = {
+        "apart": np.array([1.0, 0, np.nan, 0, np.inf, 0])[::2],
+        "truth": np.array([True, False, True]),
+        "other_order": np.array([1.5, 2.5, -3.0]).astype(np.dtype(np.float64).newbyteorder()),
+        "whole": np.array([1, 2, -3]),
+    }
+    wanted = {"apart": [1.0, None, None], "truth": [True, False, True], "other_order": [1.5, 2.5, -3.0]}
+    assert pq.read_table(io.BytesIO(parquet_of(columns))).to_pydict() == {**wanted, "whole": [1, 2, -3]}
+    none = parquet_of({name: values[:0] for name, values in columns.items()})
+    assert pq.read_table(io.BytesIO(none)).num_rows == 0
 
 
 def test_parquet_file_of_another_result_is_refused(tmp_path: Path) -> None:

@@ -532,6 +532,18 @@ def test_keypoints_of_a_scene_are_those_of_its_blocks(located_pair: Any) -> None
     assert keypoints_of(located_pair.reference, method="rc-obcls", block=200) is None
 
 
+def test_keypoints_of_proportional_blocks_rest_on_no_halo(located_pair: Any) -> None:
+    whole, alone = (
+        keypoints_of(located_pair.reference, method="sar-orb", block=200, split=s) for s in ("prior", "proportional")
+    )
+    assert whole is not None
+    assert alone is not None
+    # Columns of blocks are 200 px wide; 5 px at either side of a rim.
+    rim = [np.abs((xy[:, 0] + 0.5) % 200 - 100) > 95 for xy in (whole, alone)]
+    assert rim[0].any()
+    assert not rim[1].any()
+
+
 def test_a_scene_is_probed_by_squares_of_its_own_pixels() -> None:
     rng = np.random.default_rng(3)
     speckle = np.sqrt(rng.gamma(4.0, 0.25, (1500, 1400))).astype(np.float32)
