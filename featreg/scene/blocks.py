@@ -11,6 +11,7 @@ import numpy as np
 from featreg.errors import ParameterError
 from featreg.interfaces import Matcher
 from featreg.io.window import Window
+from featreg.pipeline.feature_matcher import FeatureMatcher
 from featreg.pipeline.locate import Locate
 from featreg.pipeline.pipeline import Pipeline
 from featreg.pipeline.refine import Refine
@@ -52,9 +53,10 @@ def suitable_side(area: Window, pipeline: Pipeline, split: str = SPLITS[0]) -> i
     """The side of the blocks of an area, px, that takes least time a pixel while gates and workers have blocks enough.
 
     Where nothing is refined, the matches of the blocks are the tie points, so many a block, and the block is the small
-    one; so it is where the scenes are divided as the paper does it.
+    one; so it is where the scenes are divided as the paper does it, and for matchers that compare no features, of whose
+    work nothing is known: one may reduce larger windows, or take memory by the square of their pixels.
     """
-    if pipeline.refine is None or split == "proportional":
+    if pipeline.refine is None or split == "proportional" or not isinstance(pipeline.matcher, FeatureMatcher):
         return BLOCK
     return round(min(max(BLOCK, math.sqrt(area.size) / ALONG), LARGEST))
 

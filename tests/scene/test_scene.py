@@ -105,6 +105,10 @@ def test_large_scenes_have_larger_blocks_and_as_many_refined_points() -> None:
     assert suitable_side(small, refined) == 600
     # The matches of a block, so many a block, are the tie points; and the paper's blocks are those of the paper.
     assert suitable_side(large, plain) == suitable_side(large, dense) == 600
+    # Of what compares no features nothing is known.
+    patches = assemble("cls", blocks=True)
+    assert patches.refine is not None
+    assert suitable_side(large, patches) == 600
     assert suitable_side(large, refined, "proportional") == 600
     assert [refined_points(Window(0, 0, side, side)) for side in (200, 600, 1200)] == [64, 64, 256]
 
