@@ -103,6 +103,7 @@ class GdalReader:
                 more = [tags.get(name) for name in ("units", "long_name", "standard_name", "DESCRIPTION")]
                 said = scale_in_words(names[i], units[i], *more)
                 by_file = said is None and alone is not None and not names[i]
+                palette = self._palette(i) if colours[i] == ColorInterp.palette else None
                 found.append(
                     Band(
                         names[i] or tags.get("POLARIMETRIC_INTERP") or "",
@@ -114,10 +115,24 @@ class GdalReader:
                         gains[i],
                         offsets[i],
                         by_file,
-                        digest_value(dataset.colormap(i + 1)) if colours[i] == ColorInterp.palette else "",
+                        "" if palette is None else digest_value(palette),
                     )
                 )
             return found
+
+    def _palette(self, band: int) -> dict[int, Any] | None:
+        """The colours that stand for the samples of a band of a palette; None where these stand for themselves.
+
+        Colours of signed numbers are for display: those of elevations.
+        """
+        if not self.dataset.dtypes[band].startswith("uint"):
+            return None
+        try:
+            found: dict[int, Any] = self.dataset.colormap(band + 1)
+        except ValueError:
+            # Said to be numbers of a palette that the file does not have.
+            return None
+        return found
 
     @property
     def files(self) -> Sequence[str]:
@@ -152,10 +167,10 @@ class GdalReader:
             self._check_block(band)
             samples = dataset.read(band + 1, window=box)
             mask = self._shown(band + 1, box)
-            # Colours of signed numbers are for display: those of elevations.
-            if dataset.colorinterp[band] == ColorInterp.palette and samples.dtype.kind == "u":
+            palette = self._palette(band) if dataset.colorinterp[band] == ColorInterp.palette else None
+            if palette is not None:
                 hole = holds_nodata(samples, nodata)
-                samples, shown = _through_palette(samples, dataset.colormap(band + 1))
+                samples, shown = _through_palette(samples, palette)
                 shown = shown if hole is None else shown & ~hole
                 mask, nodata = shown if mask is None else mask & shown, None
         return Raster(samples, known.dtype, mask, nodata, known.gain, known.offset, said=known.said)

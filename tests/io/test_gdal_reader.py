@@ -60,6 +60,18 @@ def test_nodata_of_a_palette_is_an_entry_and_no_gray_value(tmp_path: Path) -> No
     assert (image.pixels[BYTES == 10] == 0).all()
 
 
+@pytest.mark.parametrize("dtype", ["uint8", "int16", "float32"])
+def test_numbers_of_a_palette_that_is_not_there_stand_for_themselves(tmp_path: Path, dtype: str) -> None:
+    samples = BYTES.astype(dtype)
+    path = write(tmp_path / "a.tif", samples)
+    with rasterio.open(path, "r+") as dataset:
+        dataset.colorinterp = [rasterio.enums.ColorInterp.palette]
+    with rasterio.open(path) as dataset:
+        assert dataset.colorinterp[0].name == "palette"
+    np.testing.assert_array_equal(as_image(path).pixels, samples)
+    np.testing.assert_array_equal(open_source(str(path)).read(Window(3, 4, 20, 10)).pixels, samples[4:14, 3:23])
+
+
 def test_colours_of_signed_numbers_are_for_display(tmp_path: Path) -> None:
     heights = BYTES.astype(np.int16) * 7
     path = write(tmp_path / "a.bil", heights, "EHdr")
