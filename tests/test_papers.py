@@ -43,6 +43,7 @@ SAID: list[tuple[str, str, str, Any, str]] = [
     ("sar-orb-paper", "detector", "factor", 1.2, "ORB's pyramid"),
     ("sar-orb-paper", "detector", "skip", 0, "the FAST keypoints are detected at each edge layer of the pyramid"),
     ("sar-orb-paper", "detector", "alpha", 2.0, "not given"),
+    ("sar-orb-paper", "detector", "floor", 0.01, "departs: 1 % of the mean amplitude is added"),
     ("sar-orb-paper", "detector", "sigma", 2.0, "Gaussian weight, of which the width is not given"),
     ("sar-orb-paper", "detector", "threshold", 5, "not given"),
     ("sar-orb-paper", "descriptor", "levels", 8, "local binary descriptors of the neighborhoods of keypoints"),

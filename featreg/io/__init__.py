@@ -2,8 +2,8 @@
 
 images          a path or an array to an `Image`
 opening         whatever a name stands for (source_names) to a `reader`, by content; which of its bands: bands
-gdal_drivers    the formats left to GDAL (gdal_reader, vrt, gdal_errors); others: array_files, hdf5 (gridded), sicd,
-                sidd
+gdal_drivers    the formats left to GDAL (gdal_reader, vrt, gdal_confined, gdal_errors); others: array_files, hdf5
+                (variable, gridded, gridded_places), sicd, sidd
 product_folders products that are folders or archives
 products        what their metadata state of geometry; rpc_file beside images, calibration, ellipsoid
 masks, scales   which samples are data, and what amplitude they stand for
