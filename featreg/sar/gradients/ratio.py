@@ -181,8 +181,9 @@ def recursion(
     # What lies to one side of a pixel is a step away at least: of a small alpha its sums are as much smaller.
     sums = mean * _decay(alpha)
     if mean > 0 and not FEW < sums < MANY:
-        gain = 2.0 ** -round(math.log2(sums))
-        image, mean = (image * gain).astype(np.float32), mean * gain
+        # A power of two that is no float itself where both the amplitude and alpha are small.
+        power = -round(math.log2(sums))
+        image, mean = np.ldexp(image, power), math.ldexp(mean, power)
     constants = _recursion(image.shape, mean, alpha, floor)
     # Beyond so many pixels what decays is rounding.
     return image, constants, 8 * math.ceil(min(FADED * alpha, max(image.shape)) / 8)
