@@ -161,7 +161,7 @@ def test_regional_covariance_leaves_points_without_weight_out() -> None:
     model = fitted(Affine, xy[20:], noisy[20:])
     wanted = regional_covariance(model, xy[20:], noisy[20:], region[20:], at=at)
     found = regional_covariance(model, xy, noisy, region, weights, at=at)
-    np.testing.assert_allclose(found, wanted, rtol=1e-9)  # type: ignore[arg-type]
+    np.testing.assert_allclose(found, wanted, rtol=1e-9)
 
 
 def test_regional_covariance_refuses_arrays_that_do_not_fit() -> None:

@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 import weakref
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -128,9 +129,10 @@ def test_after_an_error_nothing_more_is_begun(monkeypatch: pytest.MonkeyPatch) -
         time.sleep(0.01)
         ran.append(number)
 
+    work: list[Callable[[], None]] = [interrupted, *(partial(later, number) for number in range(200))]
     with limited_threads(2):
         with pytest.raises(KeyboardInterrupt):
-            side_by_side([interrupted, *(partial(later, number) for number in range(200))])
+            side_by_side(work)
         assert len(ran) < 100
         # The next work is done as ever.
         assert side_by_side([int, str]) == [0, ""]
@@ -149,7 +151,7 @@ def test_what_failed_keeps_nothing_alive(monkeypatch: pytest.MonkeyPatch) -> Non
     try:
         with limited_threads(2):
             with pytest.raises(ZeroDivisionError):
-                side_by_side([large.work, int])
+                side_by_side([large.work, lambda: None])
             del large
         assert gone() is None
     finally:
