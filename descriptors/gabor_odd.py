@@ -24,7 +24,6 @@ from featreg.sar.keypoints.gradient_histograms import (
     row_length,
     unit_length,
 )
-from featreg.sar.pyramid import pyramid
 from featreg.types import Features, Image
 
 # A scale is computed on the coarsest halving of the image on which its sigma is at least so many pixels.
@@ -95,7 +94,7 @@ class GaborOdd(Descriptor):
         total = np.zeros((len(features), row_length(self.harmonics)), np.float32)
         for k in range(self.scales):
             sigma = self.sigma * self.factor**k
-            level, sigma = (pyramid(image, 1)[0], sigma) if self.exact else octave(image, sigma, COARSEST_GRID)
+            level, sigma = octave(image, sigma, math.inf if self.exact else COARSEST_GRID)
             sparse = sigma >= SPARSE and not self.exact
             field = GradientField(*gabor_gradients(level, sigma, self.orientations, self.floor, sparse))
             radius = self.magnification * features.scale * level.shape[1] / image.shape[1]

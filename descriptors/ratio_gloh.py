@@ -12,9 +12,8 @@ from annotated_types import Interval
 from featreg.interfaces import Descriptor
 from featreg.registry import register
 from featreg.runtime.parameters import Positive
-from featreg.sar.gradients.gradient_field import from_base, octave, ratio_field
+from featreg.sar.gradients.gradient_field import COARSEST_GRID, from_base, octave, ratio_field
 from featreg.sar.keypoints.gradient_histograms import Harmonics, Step, described, gloh, normalised, row_length
-from featreg.sar.pyramid import pyramid
 from featreg.types import Features, Image
 
 
@@ -70,7 +69,7 @@ class RatioGloh(Descriptor):
         for n in np.unique(number):
             rows = np.flatnonzero(number == n)
             alpha = self.finest * self.factor ** int(n)
-            level, alpha = (pyramid(image, 1)[0], alpha) if self.exact else octave(image, alpha)
+            level, alpha = octave(image, alpha, math.inf if self.exact else COARSEST_GRID)
             smaller = level.shape[1] / image.shape[1]
             cells[rows] = gloh(
                 ratio_field(level, alpha, self.floor), from_base(features.xy[rows], level, image),

@@ -17,6 +17,7 @@ from featreg.registry import register
 from featreg.runtime.buffers import scratch
 from featreg.runtime.parameters import Count, Positive
 from featreg.sar.gradients.gradient_field import (
+    COARSEST_GRID,
     GradientField,
     filled_gradients,
     from_base,
@@ -26,14 +27,12 @@ from featreg.sar.gradients.gradient_field import (
 from featreg.sar.keypoints.gradient_histograms import dominant_orientation, further_orientations
 from featreg.sar.keypoints.harris import harris_response, ratio_harris_response
 from featreg.sar.keypoints.maxima import interpolated, local_maxima, parabola_peak, quadratic_peak
-from featreg.sar.pyramid import clear, pyramid, share_out, to_base
+from featreg.sar.pyramid import clear, share_out, to_base
 from featreg.sar.speckle import filled_amplitude
 from featreg.types import Features, FloatArray, Image, IntArray, Searched
 
 F32 = NDArray[np.float32]
 
-# A scale is computed on the coarsest halving of the image on which its alpha is at least so many pixels.
-COARSEST_GRID = 1.25
 # Pixels of the image for each keypoint asked for, from which on every other scale has more than enough corners, and
 # from which on those do whose gradients are not mostly speckle.
 PLENTY, ABUNDANT = 50, 140
@@ -217,7 +216,7 @@ class SarHarris(Detector):
 
     def _grid(self, image: Image, alpha: float) -> tuple[Image, float]:
         """The image on which a scale is computed, and its alpha there."""
-        return (pyramid(image, 1)[0], alpha) if self.exact else octave(image, alpha, COARSEST_GRID)
+        return octave(image, alpha, math.inf if self.exact else COARSEST_GRID)
 
     def _layer(self, image: Image, number: int) -> _Layer:
         alpha = self.alpha * self.factor**number

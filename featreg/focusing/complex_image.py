@@ -198,13 +198,13 @@ def _estimated(
     steps, each = settings.max_iterations, settings.each
     if settings.method == "auto":
         pulses = pixels.size // len(energy)
-        found, used, verdict = autofocus.automatic(
+        found, used, check = autofocus.automatic(
             lambda wide: spectra(_automatic_cells(energy, pulses, settings, wide)),
             band_of,
             max_iterations=steps,
             each=each,
         )
-        return used.index, *in_image(found, used), verdict
+        return used.index, *in_image(found, used), check
     given = None if settings.method in ("pga", "pga-paper") else settings.fraction
     fraction = FRACTIONS[settings.method] if given is None else given
     chosen = choose_cells(energy, fraction)

@@ -233,8 +233,8 @@ class Agreement:
         if np.count_nonzero(structured) < 0.1 * np.count_nonzero(valid):
             return None
         alike = local[structured]
-        middle = len(alike) // 2
-        return float(np.partition(alike, middle)[: middle + 1].mean(dtype=np.float64))
+        half = len(alike) // 2
+        return float(np.partition(alike, half)[: half + 1].mean(dtype=np.float64))
 
     @cached_property
     def whole(self) -> tuple[float, float, tuple[float, float], float]:

@@ -62,6 +62,8 @@ def _image(image: Mapping[str, Any], parameters: Mapping[str, Any]) -> str:
 
 
 def _radii(radii: Sequence[float]) -> str:
+    if not radii:
+        return "no radius"
     first, last = (f"{radius:.3g}" for radius in (min(radii), max(radii)))
     return f"{first} px radius" if first == last else f"{first} to {last} px radius"
 

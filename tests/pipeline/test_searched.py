@@ -186,3 +186,8 @@ def test_a_strip_in_a_frame_gives_as_many_matches_as_alone(sar_texture: Texture,
     cropped = right([as_image(look[straight.any(axis=1)]) for look in looks])
     assert cropped > 20
     assert framed > 0.9 * cropped
+
+
+def test_what_another_plugin_tells_without_radii_is_said_too() -> None:
+    image = {"share": 1.0, "radii_px": [20.0], "left_out_px": {"detector.skip": []}}
+    assert "without those of no radius" in searched_words({"searched": [{"reference": image, "secondary": image}]})

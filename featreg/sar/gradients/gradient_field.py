@@ -20,6 +20,8 @@ F32 = NDArray[np.float32]
 
 # Pixels nearer than so many alpha to nodata, which counts as the mean, get no ratio gradient.
 BLIND = 3.0
+# A scale is computed on the coarsest halving of the image on which its alpha is at least so many pixels.
+COARSEST_GRID = 1.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,12 +35,12 @@ class GradientField:
     y: F32
 
 
-def octave(image: Image, alpha: float, finest: float = 1.25) -> tuple[Image, float]:
-    """Return the image, halved as often as leaves `alpha` at least `finest`, and what alpha is there.
+def octave(image: Image, alpha: float, finest: float = COARSEST_GRID) -> tuple[Image, float]:
+    """Return the image, halved as often as leaves `alpha` at least `finest` (inf: not at all), and what alpha is there.
 
     What is smoothed over many pixels says as much on a coarser grid, at a quarter of the cost each time.
     """
-    halvings = max(0, math.floor(math.log2(alpha / finest) + 1e-6))
+    halvings = max(0, math.floor(math.log2(alpha / finest) + 1e-6)) if finest < math.inf else 0
     chain = pyramid(image, halvings + 1, 2.0)
     level = chain[-1]
     return level, alpha / 2 ** (len(chain) - 1)
