@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from featreg.geometry import Affine, Homography
 from featreg.interfaces import Model
 from featreg.io import as_image
-from featreg.pipeline import agreement, agreement_kernels
-from featreg.pipeline.agreement import Agreement, contrasts
+from featreg.pipeline import agreement_kernels, compared_views
+from featreg.pipeline.agreement import Agreement
+from featreg.pipeline.compared_views import contrasts
 from featreg.sar.correlation import local_correlations
 from featreg.sar.speckle import log_floor
 
@@ -35,9 +36,9 @@ def test_samples_lie_where_the_model_maps_and_what_they_show_is_valid(model: Mod
     mask[100:130, 20:60], mask[40, 150] = False, False
     secondary = as_image(np.exp(rough(mask.shape, 1)), mask=mask)
     size, usable = (160 // step, 170 // step), (rng.random((170, 160)) > 0.001).astype(np.uint8)
-    nodes, zoom = agreement._mapped(model, size, step)
-    view = agreement._view(secondary, step // 2, zoom)
-    found, valid = agreement._sampled(secondary, view, nodes, zoom, size, step, usable, None)
+    nodes, zoom = compared_views.mapped(model, size, step)
+    view = compared_views.view_of(secondary, step // 2, zoom)
+    found, valid = compared_views.sampled(secondary, view, nodes, zoom, size, step, usable, None)
 
     x, y = np.meshgrid(*((np.arange(n) + 0.5) * step - 0.5 for n in size))
     at = model(np.stack([x, y], -1).reshape(-1, 2)).reshape(*x.shape, 2)
@@ -73,7 +74,7 @@ def test_a_view_shows_the_mean_around_each_pixel() -> None:
     image = as_image(amplitude)
     for unit in (1, 2):
         for zoom in (0.5, 1.0, 1.6):
-            view = agreement._view(image, unit, zoom)
+            view = compared_views.view_of(image, unit, zoom)
             x = np.arange(24, 72)
             place = x * view.scale + view.offset
             at = np.interp(place, np.arange(view.pixels.shape[1]), view.pixels[30])
