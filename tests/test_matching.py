@@ -21,12 +21,7 @@ from featreg.pipeline.feature_matcher import FeatureMatcher
 from featreg.results.registration import Registration
 from featreg.simulate import SimulatedPair, sar_pair
 from featreg.types import Image, Matches
-
-
-def grid_rmse(found: Registration, truth: NDArray[np.float64], size: int = 300) -> float:
-    assert found.model, found.reason
-    grid = np.stack(np.meshgrid(np.linspace(0, size - 1, 9), np.linspace(0, size - 1, 9)), -1).reshape(-1, 2)
-    return float(np.sqrt(((found.model(grid) - grid @ truth[:, :2].T - truth[:, 2]) ** 2).sum(axis=1).mean()))
+from made.models import grid_rmse
 
 
 def run(pair: SimulatedPair, **keywords: Any) -> Registration:

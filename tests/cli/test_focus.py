@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from featreg.cli.main import main
 from featreg.focusing.azimuth_filter import image_entropy
 from featreg.io import as_image, write_geotiff
 from featreg.types import Geolocation
@@ -46,21 +45,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def run(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
-    monkeypatch.chdir(folder)
-    capsys.readouterr()
-
-    def call(*arguments: str) -> tuple[int, str, str]:
-        code = main(["focus", *arguments])
-        out, err = capsys.readouterr()
-        return code, out, err
-
-    return call
+def focus(run: Run) -> Run:
+    """Run `featreg focus` in that folder."""
+    return lambda *arguments: run("focus", *arguments)
 
 
-def test_a_geotiff_keeps_its_place(run: Run, tmp_path: Path) -> None:
+def test_a_geotiff_keeps_its_place(focus: Run, tmp_path: Path) -> None:
     target, picture, record = tmp_path / "out.tif", tmp_path / "out.png", tmp_path / "out.json"
-    code, out, err = run("blurred.tif", "-o", str(target), "--plot", str(picture), "--json", str(record))
+    code, out, err = focus("blurred.tif", "-o", str(target), "--plot", str(picture), "--json", str(record))
     assert (code, err) == (0, "")
     assert out.splitlines()[0] == "ok"
     made, given = as_image(target), as_image("blurred.tif")
@@ -78,27 +70,27 @@ def test_a_geotiff_keeps_its_place(run: Run, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("source", ["blurred.npy", "blurred.mat:img"])
-def test_arrays_and_matlab_files(run: Run, tmp_path: Path, source: str) -> None:
+def test_arrays_and_matlab_files(focus: Run, tmp_path: Path, source: str) -> None:
     target = tmp_path / "out.npy"
     axis = "1" if "mat" in source else "0"
-    code, out, _ = run(source, "-o", str(target), "--method", "mea", "--azimuth-axis", axis, "--fraction", "0.3")
+    code, out, _ = focus(source, "-o", str(target), "--method", "mea", "--azimuth-axis", axis, "--fraction", "0.3")
     assert code == 0
     assert "58 range cells" in out
     assert np.load(target).dtype == np.complex64
 
 
-def test_range_blocks(run: Run, tmp_path: Path) -> None:
+def test_range_blocks(focus: Run, tmp_path: Path) -> None:
     record = tmp_path / "o.json"
     options = ("--method", "mea", "--fraction", "1", "--range-blocks", "2", "--json", str(record))
-    code, out, _ = run("blurred.npy", "-o", str(tmp_path / "o.npy"), "--plot", str(tmp_path / "o.png"), *options)
+    code, out, _ = focus("blurred.npy", "-o", str(tmp_path / "o.npy"), "--plot", str(tmp_path / "o.png"), *options)
     assert code == 0
     assert "2 range blocks" in out
     assert np.array(json.loads(record.read_text())["phase"]).shape == (2, 192)
 
 
-def test_what_cannot_be_trusted_is_written_and_exits_with_3(run: Run, tmp_path: Path) -> None:
+def test_what_cannot_be_trusted_is_written_and_exits_with_3(focus: Run, tmp_path: Path) -> None:
     target = tmp_path / "out.npy"
-    code, out, _ = run("speckle.npy", "-o", str(target), "--plot", str(tmp_path / "out.png"))
+    code, out, _ = focus("speckle.npy", "-o", str(target), "--plot", str(tmp_path / "out.png"))
     assert code == 3
     assert out.startswith("unreliable: ")
     assert target.exists()
@@ -122,8 +114,8 @@ def test_what_cannot_be_trusted_is_written_and_exits_with_3(run: Run, tmp_path: 
         (("blurred.npy", "-o", "o.npy", "--detector", "prewit", "--method", "pmea"), "prewitt"),
     ],
 )
-def test_whatever_is_wrong_is_one_line(run: Run, folder: Path, arguments: tuple[str, ...], words: str) -> None:
-    code, out, err = run(*arguments)
+def test_whatever_is_wrong_is_one_line(focus: Run, folder: Path, arguments: tuple[str, ...], words: str) -> None:
+    code, out, err = focus(*arguments)
     assert (code, out) == (2, "")
     assert err.count("\n") == 1
     assert words in err

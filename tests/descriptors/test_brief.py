@@ -17,17 +17,13 @@ from featreg.io import as_image
 from featreg.sar.pyramid import pyramid, to_base
 from featreg.sar.speckle import despeckled_bytes
 from featreg.types import Features, Image
+from made.keypoints import at
 
 Texture = Callable[..., NDArray[np.float32]]
 
 
 def describe(picture: Image, features: Features, **parameters: Any) -> Features:
     return registry.create("descriptor", "brief", **parameters).describe_features(picture, features)
-
-
-def at(xy: Any, scale: Any = 20.0, angle: Any = 0.0) -> Features:
-    xy = np.asarray(xy, np.float64)
-    return Features(xy, scale, angle, np.ones(len(xy)), np.zeros(len(xy), np.int64))
 
 
 def bits(features: Features) -> NDArray[np.uint8]:

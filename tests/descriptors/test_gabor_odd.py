@@ -18,6 +18,7 @@ from featreg.sar.gradients import gabor
 from featreg.sar.gradients.gabor import gabor_gradients, half_filters
 from featreg.simulate import SimulatedPair
 from featreg.types import Features, Image
+from made.keypoints import at
 
 Texture = Callable[..., NDArray[np.float32]]
 
@@ -152,11 +153,6 @@ def test_filters_hold_means() -> None:
 
 
 # Descriptor
-
-
-def at(xy: Any, scale: float = 20.0, angle: float = 0.0) -> Features:
-    xy = np.asarray(xy, np.float64)
-    return Features(xy, scale, angle, np.ones(len(xy)), np.zeros(len(xy), np.int64))
 
 
 def describe(picture: Image, features: Features, **parameters: Any) -> NDArray[np.float32]:

@@ -19,17 +19,13 @@ from featreg.sar.gradients.phase_congruency import STEPS, Congruency, bytes_of, 
 from featreg.sar.keypoints import index_map
 from featreg.sar.keypoints.index_map import Cells, cell_list, level_bits, places_of, turned_histograms, turned_triples
 from featreg.types import Features, Image
+from made.keypoints import at
 
 Texture = Callable[..., NDArray[np.float32]]
 
 
 def describe(picture: Image, features: Features, **parameters: Any) -> Features:
     return registry.create("descriptor", "max-index-map", **parameters).describe_features(picture, features)
-
-
-def at(xy: Any, angle: Any = 0.0) -> Features:
-    xy = np.asarray(xy, np.float64)
-    return Features(xy, 20.0, angle, np.ones(len(xy)), np.zeros(len(xy), np.int64))
 
 
 def alike(a: Features, b: Features) -> NDArray[np.float64]:
@@ -53,9 +49,9 @@ def test_turning_image_and_keypoint_by_a_quarter_keeps_the_descriptor(
     angles = np.random.default_rng(1).integers(0, 24, 40) * math.pi / 12
     options: dict[str, Any] = {"reindex": reindex} if soft else {"reindex": reindex, "soft": False, "grid": 7}
     for angle in (0.0, 0.3, angles):
-        a = describe(as_image(amplitude), at(xy, angle), **options)
-        b = describe(as_image(np.rot90(amplitude)), at(turned_xy, angle + math.pi / 2), **options)
-        wrong = describe(as_image(np.rot90(amplitude)), at(turned_xy, angle), **options)
+        a = describe(as_image(amplitude), at(xy, angle=angle), **options)
+        b = describe(as_image(np.rot90(amplitude)), at(turned_xy, angle=angle + math.pi / 2), **options)
+        wrong = describe(as_image(np.rot90(amplitude)), at(turned_xy, angle=angle), **options)
         if soft:
             assert np.median(alike(a, b)) > 0.8
             assert np.median(alike(a, wrong)) < 0.2
@@ -74,7 +70,7 @@ def test_turning_by_twenty_degrees_keeps_most_of_the_descriptor(sar_texture: Tex
     xy = np.random.default_rng(0).integers(80, 180, (60, 2)).astype(np.float64)
     there = xy @ matrix[:, :2].T + matrix[:, 2]
     before = describe(as_image(amplitude), at(xy))
-    after = describe(as_image(np.maximum(turned, 0)), at(there, math.radians(20)))
+    after = describe(as_image(np.maximum(turned, 0)), at(there, angle=math.radians(20)))
     assert np.median(alike(before, after)) > 0.6
     pairs, _ = registry.create("nearest", "brute-force").match_features(before, after)
     assert (pairs[:, 0] == pairs[:, 1]).mean() > 0.95

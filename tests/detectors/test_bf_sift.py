@@ -27,16 +27,13 @@ from featreg.sar.keypoints.gradient_histograms import dominant_orientation, gloh
 from featreg.sar.pyramid import pyramid
 from featreg.sar.speckle import log_amplitude
 from featreg.types import Features, Image
+from made.keypoints import at
 
 Texture = Callable[..., NDArray[np.float32]]
 
 
 def detect(picture: Image, **parameters: Any) -> Features:
     return registry.create("detector", "bf-sift", **parameters).detect_features(picture)
-
-
-def at(xy: NDArray[np.float64], scale: float, angle: float = 0.4) -> Features:
-    return Features(xy, scale, angle, np.ones(len(xy)), np.zeros(len(xy), np.int64))
 
 
 def describe(picture: Image, features: Features, **parameters: Any) -> Features:
@@ -358,7 +355,7 @@ def test_no_support_touches_nodata_and_what_lies_there_has_no_influence(sar_text
 @pytest.mark.parametrize("scale", [8.1, 10.2, 12.8, 16.2, 20.4])
 def test_descriptors_are_of_the_level_half_as_coarse_again_as_the_point(scale: float, sar_texture: Texture) -> None:
     picture, space = as_image(sar_texture()), BilateralSpace()
-    points = at(np.random.default_rng(0).uniform(30, 170, (20, 2)), scale)
+    points = at(np.random.default_rng(0).uniform(30, 170, (20, 2)), scale, 0.4)
     level, k = nearest_level(picture, space, 1.5 * scale / 8)
     smaller = level.shape[1] / picture.shape[1]
     xy = from_base(points.xy, level, picture)
@@ -370,8 +367,8 @@ def test_an_image_twice_as_large_is_described_alike_in_its_first_octave(sar_text
     """Halving the image whose pixels are all doubled gives the image back."""
     amplitude, xy = sar_texture(150, 160), np.random.default_rng(0).uniform(30, 120, (20, 2))
     large = as_image(amplitude.repeat(2, axis=0).repeat(2, axis=1))
-    small = rows(as_image(amplitude), at(xy, 12.0))
-    np.testing.assert_allclose(rows(large, at(2 * xy + 0.5, 24.0)), small, atol=1e-5)
+    small = rows(as_image(amplitude), at(xy, 12.0, 0.4))
+    np.testing.assert_allclose(rows(large, at(2 * xy + 0.5, 24.0, 0.4)), small, atol=1e-5)
 
 
 def test_turning_image_and_point_by_a_quarter_keeps_the_descriptor(sar_texture: Texture) -> None:

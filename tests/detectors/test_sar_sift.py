@@ -14,6 +14,7 @@ from featreg import registry
 from featreg.errors import ParameterError
 from featreg.io import as_image
 from featreg.types import Features, Image
+from made.keypoints import at
 
 Texture = Callable[..., NDArray[np.float32]]
 
@@ -26,11 +27,6 @@ def describe(picture: Image, features: Features, **parameters: Any) -> NDArray[n
     found = registry.create("descriptor", "ratio-gloh", **parameters).describe_features(picture, features).descriptors
     assert found is not None
     return found.astype(np.float32)
-
-
-def at(xy: Any, scale: float = 20.0, angle: Any = 0.0) -> Features:
-    xy = np.asarray(xy, np.float64)
-    return Features(xy, scale, angle, np.ones(len(xy)), np.zeros(len(xy), np.int64))
 
 
 # Detector

@@ -23,13 +23,9 @@ from featreg.geometry import (
     model_to_dict,
 )
 from featreg.interfaces import Model
-from featreg.types import FloatArray
+from made.models import scattered
 
 BENT = Polynomial2([[0, 1, 0, 0.01, 0, 0], [0, 0, 1, 0, 0, 0]])  # type: ignore[arg-type]
-
-
-def scattered(count: int = 200, size: float = 1000.0, seed: int = 0) -> FloatArray:
-    return np.random.default_rng(seed).uniform(0, size, (count, 2))
 
 
 def test_local_linear_part(model: Model) -> None:

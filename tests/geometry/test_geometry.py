@@ -26,19 +26,10 @@ from featreg.geometry import (
 from featreg.interfaces import FailedFit, Model
 from featreg.registry import available, model_class, model_name
 from featreg.types import FloatArray
+from made.models import fitted, scattered
 
 FOUR_DEGREES = math.radians(4.0)
 BENT = Polynomial2([[0, 1, 0, 0.01, 0, 0], [0, 0, 1, 0, 0, 0]])  # type: ignore[arg-type]
-
-
-def scattered(count: int = 200, size: float = 1000.0, seed: int = 0) -> FloatArray:
-    return np.random.default_rng(seed).uniform(0, size, (count, 2))
-
-
-def fitted(cls: type[Model], *arguments: Any) -> Model:
-    model = cls.from_estimate(*arguments)
-    assert model, model
-    return model
 
 
 def why(result: Model | FailedFit) -> str:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -20,19 +18,9 @@ from featreg.geometry import (
     rigid_uncertainty,
 )
 from featreg.interfaces import FailedFit, Model
-from featreg.types import FloatArray
+from made.models import fitted, scattered
 
 BENT = Polynomial2([[0, 1, 0, 0.01, 0, 0], [0, 0, 1, 0, 0, 0]])  # type: ignore[arg-type]
-
-
-def scattered(count: int = 200, size: float = 1000.0, seed: int = 0) -> FloatArray:
-    return np.random.default_rng(seed).uniform(0, size, (count, 2))
-
-
-def fitted(cls: type[Model], *arguments: Any) -> Model:
-    model = cls.from_estimate(*arguments)
-    assert model, model
-    return model
 
 
 def test_rigid_intervals_cover_the_truth() -> None:

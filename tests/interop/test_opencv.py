@@ -14,6 +14,7 @@ import featreg.interop.opencv as featreg_opencv
 from featreg import registry
 from featreg.sar.normalise import to_uint8
 from featreg.types import Features, Image
+from made.images import image_of
 
 cv2 = pytest.importorskip("cv2")
 
@@ -35,14 +36,9 @@ def sar_like(height: int = 200, width: int = 200, seed: int = 0) -> NDArray[np.f
     return np.asarray(scene * np.sqrt(rng.gamma(4.0, 0.25, (height, width))), dtype=np.float32)
 
 
-def image(pixels: NDArray[Any], mask: NDArray[np.bool_] | None = None, dtype: str = "float32") -> Image:
-    valid = np.ones(pixels.shape, bool) if mask is None else mask
-    return Image(np.where(valid, pixels, 0).astype(np.float32), valid, source_dtype=dtype)
-
-
 def eight_bit(seed: int = 0) -> tuple[NDArray[np.uint8], Image]:
-    grey = to_uint8(image(sar_like(300, 260, seed)))
-    return np.array(grey), image(grey, dtype="uint8")
+    grey = to_uint8(image_of(sar_like(300, 260, seed)))
+    return np.array(grey), image_of(grey, dtype="uint8")
 
 
 def detect(name: str, picture: Image, **parameters: Any) -> Features:
@@ -135,8 +131,8 @@ class TestLikeOpenCV:
     @pytest.mark.parametrize("name", ["akaze", "fast", "gftt", "harris-laplace", "kaze", "orb", "sift"])
     def test_the_mirror_image_has_the_mirrored_points(self, name: str) -> None:
         pixels = sar_like(300, 300)
-        points = detect(name, image(pixels)).xy
-        mirrored = detect(name, image(pixels[::-1, ::-1])).xy
+        points = detect(name, image_of(pixels)).xy
+        mirrored = detect(name, image_of(pixels[::-1, ::-1])).xy
         row, distance = nearest(points, 299.0 - mirrored)
         shift = (299.0 - mirrored[row] - points)[distance < 3.0]
         assert len(shift) > 50
@@ -147,7 +143,7 @@ class TestLikeOpenCV:
         pixels = sar_like(487, 487, seed=3)
 
         def bias(level: int, half_pixel: bool) -> float:
-            a, b = (detect("orb", image(p), half_pixel=half_pixel) for p in (pixels, pixels[::-1, ::-1]))
+            a, b = (detect("orb", image_of(p), half_pixel=half_pixel) for p in (pixels, pixels[::-1, ::-1]))
             a, b = a.take(a.level == level), b.take(b.level == level)
             row, distance = nearest(a.xy, 486.0 - b.xy)
             shift = (486.0 - b.xy[row] - a.xy)[distance < 1.2**level]
@@ -160,8 +156,8 @@ class TestLikeOpenCV:
     @pytest.mark.parametrize("name", ["akaze", "orb", "sift", "brisk"])
     def test_turning_the_image_turns_the_angles(self, name: str) -> None:
         pixels = sar_like(240, 240)
-        before = detect(name, image(pixels))
-        after = detect(name, image(np.rot90(pixels).copy()))
+        before = detect(name, image_of(pixels))
+        after = detect(name, image_of(np.rot90(pixels).copy()))
         turned = np.stack([before.xy[:, 1], 239.0 - before.xy[:, 0]], axis=1)
         row, distance = nearest(turned, after.xy)
         close = (distance < 0.5) & np.isclose(before.scale, after.scale[row], rtol=0.02)
@@ -174,7 +170,7 @@ class TestEveryDetector:
     @pytest.mark.parametrize("name", USABLE_DETECTORS)
     def test_it_detects(self, name: str) -> None:
         loose = {"blob": {"filter_by_convexity": False, "filter_by_inertia": False}}.get(name, {})
-        picture = image(sar_like())
+        picture = image_of(sar_like())
         found = detect(name, picture, **loose)
         assert len(found) > 0
         assert (np.diff(found.score) <= 0).all()
@@ -182,7 +178,7 @@ class TestEveryDetector:
         assert (found.xy <= 199).all()
         assert (found.scale > 0).all()
         assert (found.descriptors is not None) == (name in DESCRIBING)
-        assert same(found, detect(name, image(sar_like()), **loose))
+        assert same(found, detect(name, image_of(sar_like()), **loose))
         assert len(detect(name, picture, n_features=3, **loose)) <= 3
         best = detect(name, picture, n_features=1, **loose)
         assert name == "orb" or best.score[0] == found.score[0]
@@ -192,26 +188,26 @@ class TestEveryDetector:
         mask = np.ones((200, 200), bool)
         mask[:, :60] = False
         mask[80:120, 120:140] = False
-        found = detect(name, image(sar_like(), mask))
+        found = detect(name, image_of(sar_like(), mask))
         assert len(found) > 0 or name == "blob"
         rows, columns = np.nonzero(~mask)
         for xy, scale in zip(found.xy, found.scale, strict=True):
             assert np.hypot(columns - xy[0], rows - xy[1]).min() > scale - 1.0
-        budget = detect(name, image(sar_like(), mask), n_features=20)
+        budget = detect(name, image_of(sar_like(), mask), n_features=20)
         assert len(budget) == min(20, len(found)) or name in ("orb", "harris-laplace", "gftt")
 
     @pytest.mark.parametrize("name", USABLE_DETECTORS)
     @pytest.mark.parametrize("value", [0.0, 3.5])
     def test_a_constant_image_has_no_features(self, name: str, value: float) -> None:
-        assert len(detect(name, image(np.full((100, 120), value)))) == 0
+        assert len(detect(name, image_of(np.full((100, 120), value)))) == 0
 
     @pytest.mark.parametrize("name", USABLE_DETECTORS)
     def test_invalid_and_tiny_images_have_no_features(self, name: str) -> None:
-        assert len(detect(name, image(sar_like(), np.zeros((200, 200), bool)))) == 0
+        assert len(detect(name, image_of(sar_like(), np.zeros((200, 200), bool)))) == 0
         for shape in ((1, 1), (3, 3), (2, 300), (15, 15)):
-            assert len(detect(name, image(sar_like(*shape)))) == 0
+            assert len(detect(name, image_of(sar_like(*shape)))) == 0
         for shape in ((16, 16), (20, 300), (33, 33), (300, 40)):
-            detect(name, image(sar_like(*shape)))
+            detect(name, image_of(sar_like(*shape)))
 
     @pytest.mark.parametrize("name", USABLE_DETECTORS)
     def test_it_can_be_pickled_and_holds_its_parameters(self, name: str) -> None:
@@ -221,7 +217,7 @@ class TestEveryDetector:
         assert hash(again) == hash(plugin)
         for key, value in DETECTORS[name].parameters.items():
             assert getattr(again, key) == (77 if key == "n_features" else value)
-        picture = image(sar_like(120, 120))
+        picture = image_of(sar_like(120, 120))
         assert same(again.detect_features(picture), plugin.detect_features(picture))
 
 
@@ -229,7 +225,7 @@ class TestEveryDescriptor:
     @pytest.mark.parametrize("name", USABLE_DESCRIPTORS)
     @pytest.mark.parametrize("detector", ["fast", "sift"])
     def test_it_describes_the_features_of_any_detector(self, name: str, detector: str) -> None:
-        picture = image(sar_like())
+        picture = image_of(sar_like())
         given = bare(detect(detector, picture, n_features=300))
         found = describe(name, picture, given)
         assert found.descriptors is not None
@@ -241,11 +237,11 @@ class TestEveryDescriptor:
         assert (np.diff(rows) > 0).all()
         np.testing.assert_array_equal(found.xy, given.xy[rows])
         np.testing.assert_array_equal(found.scale, given.scale[rows])
-        assert same(found, describe(name, image(sar_like()), given))
+        assert same(found, describe(name, image_of(sar_like()), given))
 
     @pytest.mark.parametrize("name", USABLE_DESCRIPTORS)
     def test_each_row_belongs_to_its_feature(self, name: str) -> None:
-        picture = image(sar_like())
+        picture = image_of(sar_like())
         given = bare(detect("sift", picture, n_features=60))
         found = describe(name, picture, given)
         order = np.arange(len(given))[::-1]
@@ -259,7 +255,7 @@ class TestEveryDescriptor:
 
     @pytest.mark.parametrize("name", USABLE_DESCRIPTORS)
     def test_extreme_scales_and_positions_do_no_harm(self, name: str) -> None:
-        picture = image(sar_like(64, 90))
+        picture = image_of(sar_like(64, 90))
         corners = np.array([[0, 0], [89, 0], [0, 63], [89, 63], [45, 32], [-1, 5], [9e4, 9e4]], dtype=np.float64)
         for scale in (0.0, 0.3, 4.0, 30.0, 500.0):
             given = Features(corners, np.full(7, scale), np.zeros(7), np.ones(7), np.zeros(7, np.int64))
@@ -269,9 +265,9 @@ class TestEveryDescriptor:
 
     @pytest.mark.parametrize("name", USABLE_DESCRIPTORS)
     def test_nothing_in_gives_nothing_out(self, name: str) -> None:
-        assert len(describe(name, image(sar_like()), Features.empty())) == 0
+        assert len(describe(name, image_of(sar_like()), Features.empty())) == 0
         one = Features(np.ones((1, 2)), np.ones(1), np.zeros(1), np.ones(1), np.zeros(1, np.int64))
-        tiny = describe(name, image(sar_like(5, 5)), one)
+        tiny = describe(name, image_of(sar_like(5, 5)), one)
         assert len(tiny) == 0
         assert tiny.index is not None
 
@@ -282,7 +278,7 @@ class TestEveryDescriptor:
 
     @pytest.mark.parametrize("name", USABLE_DESCRIPTORS)
     def test_a_feature_is_described_alike_in_any_company(self, name: str) -> None:
-        picture = image(sar_like())
+        picture = image_of(sar_like())
         given = bare(detect("sift", picture, n_features=80))
         rows = np.flatnonzero(given.scale > np.median(given.scale))
         among_all, among_large = describe(name, picture, given), describe(name, picture, given.take(rows))
@@ -294,7 +290,7 @@ class TestEveryDescriptor:
         np.testing.assert_array_equal(kept[np.isin(kept, rows)], kept_large)
 
     def test_a_measured_orientation_replaces_the_given_one(self) -> None:
-        picture = image(sar_like())
+        picture = image_of(sar_like())
         given = detect("fast", picture, n_features=200)
         assert not given.angle.any()
         assert describe("brisk", picture, given).angle.std() > 0.5
@@ -305,8 +301,8 @@ class TestInput:
     @pytest.mark.parametrize("name", ["orb", "sift", "akaze", "kaze"])
     def test_16_bit_and_float_and_complex_images_give_the_same_points(self, name: str) -> None:
         pixels = np.rint(sar_like() * 2000.0).clip(1, 65535)
-        as_float = detect(name, image(pixels))
-        as_uint16 = detect(name, image(pixels, dtype="uint16"))
+        as_float = detect(name, image_of(pixels))
+        as_uint16 = detect(name, image_of(pixels, dtype="uint16"))
         phase = np.exp(1j * np.arange(200.0))
         as_complex = detect(name, Image((pixels * phase).astype(np.complex64), np.ones((200, 200), bool)))
         assert len(as_float) > 20
@@ -314,4 +310,4 @@ class TestInput:
         assert len(as_complex) == pytest.approx(len(as_float), rel=0.05)
 
     def test_the_gain_drops_out(self) -> None:
-        assert same(detect("fast", image(sar_like())), detect("fast", image(sar_like() * 1024.0)))
+        assert same(detect("fast", image_of(sar_like())), detect("fast", image_of(sar_like() * 1024.0)))

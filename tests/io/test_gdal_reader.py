@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from featreg.errors import InputError
 from featreg.geolocation import sensor_of
 from featreg.io import as_image
 from featreg.io.gdal_confined import within_archive, within_folder
 from featreg.io.raster_source import Window, open_source
+from made.rasters import write_raster
 
 rasterio = pytest.importorskip("rasterio")
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
@@ -25,16 +25,8 @@ RNG = np.random.default_rng(3)
 BYTES = RNG.integers(1, 250, (H, W)).astype(np.uint8)
 
 
-def write(path: Path, array: NDArray[Any], driver: str = "GTiff", **more: Any) -> Path:
-    bands = array if array.ndim == 3 else array[None]
-    size = {"height": bands.shape[1], "width": bands.shape[2], "count": len(bands)}
-    with rasterio.open(path, "w", driver=driver, dtype=bands.dtype, **size, **more) as dataset:
-        dataset.write(bands)
-    return path
-
-
 def test_a_mask_file_may_hold_a_mask_for_each_band(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.tif", np.stack([BYTES, BYTES[::-1]]))
+    path = write_raster(tmp_path / "a.tif", np.stack([BYTES, BYTES[::-1]]))
     shown = np.stack([np.arange(W) >= 7, np.arange(W) < 30])[:, None].repeat(H, axis=1)
     # Without the flag that one mask holds for the whole dataset.
     with rasterio.open(
@@ -49,7 +41,7 @@ def test_a_mask_file_may_hold_a_mask_for_each_band(tmp_path: Path) -> None:
 
 
 def test_nodata_of_a_palette_is_an_entry_and_no_gray_value(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.tif", BYTES, nodata=200, photometric="palette")
+    path = write_raster(tmp_path / "a.tif", BYTES, nodata=200, photometric="palette")
     with rasterio.open(path, "r+") as dataset:
         # Entry 10 is black with value 0, entry 9 is the gray value 200.
         colours = {i: (i, i, i, 255) for i in range(256)} | {10: (0, 0, 0, 255), 9: (200, 200, 200, 255)}
@@ -63,7 +55,7 @@ def test_nodata_of_a_palette_is_an_entry_and_no_gray_value(tmp_path: Path) -> No
 @pytest.mark.parametrize("dtype", ["uint8", "int16", "float32"])
 def test_numbers_of_a_palette_that_is_not_there_stand_for_themselves(tmp_path: Path, dtype: str) -> None:
     samples = BYTES.astype(dtype)
-    path = write(tmp_path / "a.tif", samples)
+    path = write_raster(tmp_path / "a.tif", samples)
     with rasterio.open(path, "r+") as dataset:
         dataset.colorinterp = [rasterio.enums.ColorInterp.palette]
     with rasterio.open(path) as dataset:
@@ -74,7 +66,7 @@ def test_numbers_of_a_palette_that_is_not_there_stand_for_themselves(tmp_path: P
 
 def test_colours_of_signed_numbers_are_for_display(tmp_path: Path) -> None:
     heights = BYTES.astype(np.int16) * 7
-    path = write(tmp_path / "a.bil", heights, "EHdr")
+    path = write_raster(tmp_path / "a.bil", heights, "EHdr")
     # What is not listed has no colour, and no opacity either.
     (tmp_path / "a.clr").write_text("7 255 0 0\n5000 0 0 255\n")
     with rasterio.open(path) as dataset:
@@ -103,7 +95,7 @@ def test_what_is_packed_twice_is_not_unpacked(tmp_path: Path) -> None:
 
 
 def test_headers_of_er_mapper_begin_in_any_case_and_after_comments(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.ers", BYTES, "ERS")
+    path = write_raster(tmp_path / "a.ers", BYTES, "ERS")
     text = path.read_text()
     assert text.startswith("DatasetHeader Begin")
     for header in ("datasetheader begin" + text[19:], "# a comment\n\n  " + text):
@@ -122,7 +114,7 @@ def test_hdf5_may_begin_behind_a_block_of_the_user(tmp_path: Path) -> None:
 
 def test_a_local_coordinate_system_leads_nowhere_and_is_named(tmp_path: Path) -> None:
     crs = rasterio.crs.CRS.from_wkt('LOCAL_CS["site",UNIT["metre",1]]')
-    path = write(tmp_path / "a.tif", BYTES, crs=crs, transform=rasterio.Affine(2, 0, 5, 0, -2, 9))
+    path = write_raster(tmp_path / "a.tif", BYTES, crs=crs, transform=rasterio.Affine(2, 0, 5, 0, -2, 9))
     image = as_image(path)
     with pytest.raises(InputError, match="does not lead to longitude and latitude"):
         sensor_of(image.geolocation, image.shape, "a.tif")
@@ -134,7 +126,7 @@ def test_a_transform_that_was_left_in_memory_is_none(tmp_path: Path) -> None:
     assert _is_nothing((4.7e-310, 0.0, 4.7e-310, 6.9e-310, 5e-324, 6.9e-310))
     assert _is_nothing((1.0, 0.0, np.nan, 0.0, 1.0, 0.0))
     assert not _is_nothing((1e-9, 0.0, 5.0, 0.0, -1e-9, 5.0))
-    path = write(tmp_path / "a.pgm", BYTES, "PNM")
+    path = write_raster(tmp_path / "a.pgm", BYTES, "PNM")
     assert as_image(path).geolocation is None
 
 
@@ -142,14 +134,14 @@ def test_measurements_of_radarsat_constellation_are_named_by_polarisation(tmp_pa
     (tmp_path / "imagery").mkdir()
     objects = ""
     for name, gain in (("VV", 1), ("VH", 2)):
-        write(tmp_path / "imagery" / f"{name}.tif", BYTES.astype(np.uint16) * gain)
+        write_raster(tmp_path / "imagery" / f"{name}.tif", BYTES.astype(np.uint16) * gain)
         objects += f'<dataObject><byteStream><fileLocation href="./imagery/{name}.tif"/></byteStream></dataObject>'
     (tmp_path / "manifest.safe").write_text(f"<XFDU><dataObjectSection>{objects}</dataObjectSection></XFDU>")
     np.testing.assert_array_equal(as_image(tmp_path, band="VH").pixels, 2.0 * BYTES)
 
 
 def test_a_header_of_jpeg_2000_that_states_too_much_is_refused_before_it_is_decoded(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.jp2", BYTES, "JP2OpenJPEG")
+    path = write_raster(tmp_path / "a.jp2", BYTES, "JP2OpenJPEG")
     content = bytearray(path.read_bytes())
     # The heights of image and tile stand behind the mark of the size; each part would be decoded in vain.
     at = content.index(b"\xff\x4f\xff\x51") + 4
@@ -164,7 +156,7 @@ def test_a_header_of_jpeg_2000_that_states_too_much_is_refused_before_it_is_deco
 
 def test_tall_blocks_of_jpeg_2000_are_decoded_once(tmp_path: Path) -> None:
     tall = np.repeat(BYTES, 60, axis=0)
-    path = write(tmp_path / "a.jp2", tall, "JP2OpenJPEG", QUALITY="100", REVERSIBLE="YES", BLOCKYSIZE=2400)
+    path = write_raster(tmp_path / "a.jp2", tall, "JP2OpenJPEG", QUALITY="100", REVERSIBLE="YES", BLOCKYSIZE=2400)
     from featreg.io import gdal_reader
     from featreg.io.opening import open_reader
 
@@ -181,7 +173,7 @@ def test_tall_blocks_of_jpeg_2000_are_decoded_once(tmp_path: Path) -> None:
     "said", ["http://127.0.0.1:9/a.tif", "/vsicurl/http://127.0.0.1:9/a.tif", ":::BASE:::../a.tif"]
 )
 def test_overviews_elsewhere_are_refused_before_anyone_looks_for_them(tmp_path: Path, said: str, inside: bool) -> None:
-    path = write(tmp_path / "a.tif", BYTES)
+    path = write_raster(tmp_path / "a.tif", BYTES)
     if inside:
         with rasterio.open(path, "r+") as dataset:
             dataset.update_tags(ns="OVERVIEWS", OVERVIEW_FILE=said)
@@ -206,7 +198,7 @@ def virtual(source: str, relative: int = 0) -> str:
 def test_a_virtual_raster_is_no_file_of_overviews_and_no_mask(
     tmp_path: Path, suffix: str, kind: str, archived: bool
 ) -> None:
-    path = write(tmp_path / "a.tif", BYTES)
+    path = write_raster(tmp_path / "a.tif", BYTES)
     Path(f"{path}{suffix}").write_text(virtual("http://127.0.0.1:9/a.tif"))
     if archived:
         with zipfile.ZipFile(tmp_path / "all.zip", "w") as archive:
@@ -218,7 +210,7 @@ def test_a_virtual_raster_is_no_file_of_overviews_and_no_mask(
 
 
 def test_overviews_beside_an_image_change_nothing(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.tif", BYTES)
+    path = write_raster(tmp_path / "a.tif", BYTES)
     with rasterio.Env(TIFF_USE_OVR=True), rasterio.open(path, "r+") as dataset:
         dataset.build_overviews([2])
     assert Path(f"{path}.ovr").is_file()

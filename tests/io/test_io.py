@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from featreg.errors import InputError, ParameterError
 from featreg.io import as_image, read_image
 from featreg.io.masks import inside_polygons
 from featreg.types import Image
+from made.rasters import write_raster
 
 rasterio = pytest.importorskip("rasterio")
 # of the files these tests write; that the package itself is quiet is tested in test_bad_input.py
@@ -23,20 +23,10 @@ pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreference
 GRAY = np.random.default_rng(0).integers(1, 250, (40, 60), dtype=np.uint8)
 
 
-def write(path: Path, bands: NDArray[Any], **profile: Any) -> Path:
-    """Write (B, H, W) or (H, W) with rasterio."""
-    bands = bands[None] if bands.ndim == 2 else bands
-    count, height, width = bands.shape
-    profile = {"driver": "GTiff", "dtype": bands.dtype.name, **profile}
-    with rasterio.open(path, "w", height=height, width=width, count=count, **profile) as dataset:
-        dataset.write(bands)
-    return path
-
-
 @pytest.mark.parametrize("dtype", ["uint8", "int16", "uint16", "int32", "float32", "float64", "uint64"])
 def test_tiff_of_every_depth_keeps_its_range(tmp_path: Path, dtype: str) -> None:
     samples = GRAY.astype(dtype) * (1 if dtype == "uint8" else 100)
-    image = as_image(write(tmp_path / "a.tif", samples))
+    image = as_image(write_raster(tmp_path / "a.tif", samples))
     assert image.pixels.dtype == np.float32
     np.testing.assert_array_equal(image.pixels, samples)
     assert (image.source_dtype, image.scale, image.name) == (dtype, "amplitude", str(tmp_path / "a.tif"))
@@ -48,7 +38,7 @@ def test_tiff_of_every_depth_keeps_its_range(tmp_path: Path, dtype: str) -> None
 def test_complex_tiff(tmp_path: Path, dtype: str) -> None:
     samples = GRAY.astype(np.complex64) - 1j * GRAY[::-1]
     written = samples if dtype == "complex_int16" else samples.astype(dtype)
-    image = as_image(write(tmp_path / "a.tif", written, dtype=dtype))
+    image = as_image(write_raster(tmp_path / "a.tif", written, dtype=dtype))
     assert image.pixels.dtype == np.complex64
     np.testing.assert_array_equal(image.pixels, samples)
     np.testing.assert_allclose(image.amplitude, np.hypot(GRAY.astype(float), GRAY[::-1]), rtol=1e-6)
@@ -217,12 +207,12 @@ def test_scale_against_kind() -> None:
 
 
 def test_file_nodata_counts_and_an_explicit_one_overrides(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.tif", GRAY, nodata=int(GRAY[0, 0]))
+    path = write_raster(tmp_path / "a.tif", GRAY, nodata=int(GRAY[0, 0]))
     np.testing.assert_array_equal(as_image(path).mask, GRAY[0, 0] != GRAY)
     other = GRAY[GRAY[0, 0] != GRAY][0]
     np.testing.assert_array_equal(as_image(path, nodata=other).mask, other != GRAY)
     single = GRAY.astype(np.float32) / 10
-    path = write(tmp_path / "b.tif", single, nodata=float(single[0, 0]))
+    path = write_raster(tmp_path / "b.tif", single, nodata=float(single[0, 0]))
     np.testing.assert_array_equal(as_image(path).mask, single != single[0, 0])
 
 
@@ -266,7 +256,7 @@ def test_mask_band_of_a_file_stays_with_an_explicit_nodata(tmp_path: Path) -> No
 
 
 def test_scale_and_offset_of_a_file_are_applied(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.tif", GRAY)
+    path = write_raster(tmp_path / "a.tif", GRAY)
     with rasterio.open(path, "r+") as dataset:
         dataset.scales, dataset.offsets = (0.5,), (3.0,)
     np.testing.assert_array_equal(as_image(path).pixels, GRAY * 0.5 + 3)
@@ -277,7 +267,7 @@ def test_masks_from_arrays_and_files(tmp_path: Path) -> None:
     np.testing.assert_array_equal(as_image(GRAY, mask=keep).mask, keep)
     np.testing.assert_array_equal(as_image(GRAY, mask=keep * 7.0).mask, keep)
     np.testing.assert_array_equal(as_image(GRAY, mask=np.where(keep, 1.0, np.nan)).mask, keep)
-    path = write(tmp_path / "mask.png", keep * np.uint8(255), driver="PNG")
+    path = write_raster(tmp_path / "mask.png", keep * np.uint8(255), driver="PNG")
     np.testing.assert_array_equal(as_image(GRAY, mask=path).mask, keep)
     np.save(tmp_path / "mask.npy", keep)
     image = as_image(GRAY, mask=str(tmp_path / "mask.npy"), nodata=GRAY[keep][0])

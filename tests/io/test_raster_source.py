@@ -18,20 +18,11 @@ from featreg.errors import InputError, ParameterError
 from featreg.io import as_image
 from featreg.io.images import small_image
 from featreg.io.raster_source import ImageSource, RasterSource, Window, open_source
+from made.rasters import write_raster
 
+pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 SHAPE = (150, 170)
 WINDOWS = [Window(0, 0, 170, 150), Window(20, 30, 50, 40), Window(-7, 100, 60, 80), Window(150, -9, 40, 30)]
-
-
-def write(path: Path, array: NDArray[Any], **profile: Any) -> Path:
-    import rasterio
-
-    from featreg.io.gdal_errors import quiet
-
-    size = {"height": array.shape[0], "width": array.shape[1], "count": 1, "dtype": array.dtype.name}
-    with quiet(), rasterio.open(path, "w", driver="GTiff", **size, **profile) as dataset:
-        dataset.write(array, 1)
-    return path
 
 
 def amplitude(seed: int = 0) -> NDArray[np.float32]:
@@ -39,26 +30,26 @@ def amplitude(seed: int = 0) -> NDArray[np.float32]:
 
 
 def plain(folder: Path) -> tuple[Path, dict[str, Any]]:
-    return write(folder / "plain.tif", amplitude()), {}
+    return write_raster(folder / "plain.tif", amplitude()), {}
 
 
 def with_nodata(folder: Path) -> tuple[Path, dict[str, Any]]:
     array = amplitude().astype(np.uint16)
     array[40:90, 60:120] = 0
-    return write(folder / "nodata.tif", array, nodata=0, tiled=True, blockxsize=64, blockysize=64), {}
+    return write_raster(folder / "nodata.tif", array, nodata=0, tiled=True, blockxsize=64, blockysize=64), {}
 
 
 def decibels(folder: Path) -> tuple[Path, dict[str, Any]]:
-    return write(folder / "db.tif", (20 * np.log10(amplitude() / 60)).astype(np.float32)), {}
+    return write_raster(folder / "db.tif", (20 * np.log10(amplitude() / 60)).astype(np.float32)), {}
 
 
 def stated_intensity(folder: Path) -> tuple[Path, dict[str, Any]]:
-    return write(folder / "intensity.tif", amplitude()), {"scale": "intensity"}
+    return write_raster(folder / "intensity.tif", amplitude()), {"scale": "intensity"}
 
 
 def complex_samples(folder: Path) -> tuple[Path, dict[str, Any]]:
     phase = np.random.default_rng(1).uniform(-3, 3, SHAPE)
-    return write(folder / "complex.tif", (amplitude() * np.exp(1j * phase)).astype(np.complex64)), {}
+    return write_raster(folder / "complex.tif", (amplitude() * np.exp(1j * phase)).astype(np.complex64)), {}
 
 
 def numpy_file(folder: Path) -> tuple[Path, dict[str, Any]]:
@@ -81,7 +72,7 @@ def polygon(folder: Path) -> tuple[Path, dict[str, Any]]:
 
 def mask_file(folder: Path) -> tuple[Path, dict[str, Any]]:
     mask = (np.random.default_rng(2).random(SHAPE) > 0.3).astype(np.uint8)
-    return plain(folder)[0], {"mask": str(write(folder / "mask.tif", mask))}
+    return plain(folder)[0], {"mask": str(write_raster(folder / "mask.tif", mask))}
 
 
 def mask_of_floats(folder: Path) -> tuple[Path, dict[str, Any]]:
@@ -189,10 +180,10 @@ def test_neighbouring_windows_share_no_point_and_lose_none() -> None:
 
 
 def test_a_changed_file_is_read_anew(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.tif", amplitude(0))
+    path = write_raster(tmp_path / "a.tif", amplitude(0))
     source = RasterSource(str(path))
     first, before = source.read(WINDOWS[1]).pixels, source.identity()
-    write(tmp_path / "b.tif", amplitude(5)).replace(path)
+    write_raster(tmp_path / "b.tif", amplitude(5)).replace(path)
     assert not np.array_equal(source.read(WINDOWS[1]).pixels, first)
     assert source.identity() != before
 
@@ -235,7 +226,7 @@ def test_files_that_cannot_be_used_say_why(name: str, content: bytes | None, tex
 
 
 def test_a_truncated_scene_is_named_when_the_missing_part_is_read(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.tif", amplitude())
+    path = write_raster(tmp_path / "a.tif", amplitude())
     path.write_bytes(path.read_bytes()[:40_000])
     with pytest.raises(InputError, match=r"a\.tif: the"):
         RasterSource(str(path)).read(Window(0, 100, 50, 50))
@@ -249,7 +240,7 @@ def test_misuse_says_what_would_be_right(tmp_path: Path) -> None:
         open_source(path).overview(0)
     with pytest.raises(ParameterError, match="unknown scale"):
         open_source(path, scale="decibel")
-    other = write(tmp_path / "small.tif", np.ones((20, 20), np.uint8))
+    other = write_raster(tmp_path / "small.tif", np.ones((20, 20), np.uint8))
     with pytest.raises(InputError, match="the scene is 170 x 150"):
         open_source(path, mask=str(other))
     with pytest.raises(InputError, match="complex"):
@@ -328,7 +319,7 @@ def test_what_lies_beside_a_scene_tells_it_from_another(tmp_path: Path) -> None:
     import rasterio
 
     array = amplitude(0)
-    path = write(tmp_path / "a.tif", array)
+    path = write_raster(tmp_path / "a.tif", array)
     seen = [open_source(path).identity()]
     # What another program writes when it looks at an image changes nothing.
     pam = '<PAMDataset><PAMRasterBand band="1">{}</PAMRasterBand></PAMDataset>'
@@ -348,7 +339,7 @@ def test_what_lies_beside_a_scene_tells_it_from_another(tmp_path: Path) -> None:
         "</SimpleSource></VRTRasterBand></VRTDataset>"
     )
     before = open_source(tmp_path / "v.vrt").identity()
-    write(tmp_path / "b.tif", amplitude(5)).replace(path)
+    write_raster(tmp_path / "b.tif", amplitude(5)).replace(path)
     assert open_source(tmp_path / "v.vrt").identity() != before
 
 

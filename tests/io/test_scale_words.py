@@ -8,26 +8,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-import rasterio
 
 from featreg.cli.info import describe
 from featreg.errors import InputError
 from featreg.io import as_image
 from featreg.io.raster_source import Window, open_source
+from made.rasters import write_raster
 
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 
 POWER = np.random.default_rng(0).gamma(4.0, 0.05, (40, 60)).astype(np.float32)
 DB = (10 * np.log10(POWER)).astype(np.float32)
-
-
-def write(path: Path, samples: Any, name: str = "", driver: str = "GTiff") -> Path:
-    height, width = samples.shape
-    with rasterio.open(path, "w", driver=driver, height=height, width=width, count=1, dtype=samples.dtype.name) as out:
-        out.write(samples, 1)
-        if name:
-            out.set_band_description(1, name)
-    return path
 
 
 @pytest.mark.parametrize(
@@ -55,7 +46,7 @@ def write(path: Path, samples: Any, name: str = "", driver: str = "GTiff") -> Pa
 def test_names_tell(
     file: str, band: str, samples: Any, scale: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    path = write(tmp_path / file, samples, band)
+    path = write_raster(tmp_path / file, samples, names=[band] if band else [])
     with caplog.at_level(logging.WARNING, "featreg"):
         image = as_image(path)
     assert image.scale == scale
@@ -71,7 +62,7 @@ def test_names_tell(
 
 
 def test_the_user_may_say_otherwise_and_is_told_what_was_taken(tmp_path: Path) -> None:
-    path = write(tmp_path / "Sigma0_VV.img", POWER, "Sigma0_VV", "ENVI")
+    path = write_raster(tmp_path / "Sigma0_VV.img", POWER, "ENVI", ["Sigma0_VV"])
     assert describe(str(path))["samples"] == {
         "dtype": "float32",
         "scale": "intensity",
@@ -79,14 +70,14 @@ def test_the_user_may_say_otherwise_and_is_told_what_was_taken(tmp_path: Path) -
     }
     assert describe(str(path), scale="amplitude")["samples"]["told_by"] == "stated"
     np.testing.assert_array_equal(as_image(path, scale="amplitude").pixels, POWER)
-    by_file = write(tmp_path / "gamma0.tif", POWER)
+    by_file = write_raster(tmp_path / "gamma0.tif", POWER)
     assert describe(str(by_file))["samples"]["told_by"] == "the name of the file"
-    assert describe(str(write(tmp_path / "plain.tif", POWER)))["samples"]["told_by"] == "its samples"
+    assert describe(str(write_raster(tmp_path / "plain.tif", POWER)))["samples"]["told_by"] == "its samples"
 
 
 def test_the_header_of_snap_says_which_file_to_give(tmp_path: Path) -> None:
     (tmp_path / "product.data").mkdir()
-    write(tmp_path / "product.data" / "Sigma0_VV.img", POWER, "Sigma0_VV", "ENVI")
+    write_raster(tmp_path / "product.data" / "Sigma0_VV.img", POWER, "ENVI", ["Sigma0_VV"])
     (tmp_path / "product.dim").write_text('<?xml version="1.0"?><Dimap_Document name="product.dim"></Dimap_Document>')
     with pytest.raises(InputError, match=r"header of SNAP; give one of its bands: .*product\.data/Sigma0_VV\.img'"):
         as_image(tmp_path / "product.dim")
@@ -95,7 +86,7 @@ def test_the_header_of_snap_says_which_file_to_give(tmp_path: Path) -> None:
 def test_words_that_samples_belie_are_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     linear = np.random.default_rng(1).exponential(3000.0, (40, 60)).astype(np.float32) - 20
     assert (linear < 0).any()
-    path = write(tmp_path / "a_db.tif", linear)
+    path = write_raster(tmp_path / "a_db.tif", linear)
     image = as_image(path)
     assert image.scale == "intensity"
     assert "is called decibels, but most of its values cannot be" in caplog.text

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 import featreg
 from featreg import registry
 from featreg.geometry import Affine
-from featreg.interfaces import FailedFit
 from featreg.io import as_image
 from featreg.simulate import SimulatedPair, sar_pair
 from featreg.types import Image
+from made.models import grid_rmse
 
 SHAPE = (300, 300)
 
@@ -22,19 +22,12 @@ def mapped(pair: SimulatedPair, xy: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(xy @ pair.truth[:, :2].T + pair.truth[:, 2])
 
 
-def grid_error(reg: featreg.Registration, pair: SimulatedPair) -> float:
-    x, y = np.meshgrid(np.linspace(60, 240, 7), np.linspace(60, 240, 7))
-    xy = np.column_stack([x.ravel(), y.ravel()])
-    assert not isinstance(reg.model, FailedFit)
-    return float(np.sqrt(((reg.model(xy) - mapped(pair, xy)) ** 2).sum(axis=1).mean()))
-
-
 @pytest.mark.parametrize(("rotation", "scale"), [(0.0, 1.0), (151.0, 1.2), (-83.0, 0.7)])
 def test_one_look_is_registered_at_any_rotation(rotation: float, scale: float) -> None:
     pair = sar_pair(SHAPE, looks=1, rotation_deg=rotation, scale=scale, shift=(11, -7), seed=2)
     reg = featreg.match(pair.reference, pair.secondary, method="sar-dense", model="similarity", seed=0, nodata=0)
     assert reg.status == "ok", reg.reason
-    assert grid_error(reg, pair) < 0.3
+    assert grid_rmse(reg, pair.truth, 300, 60) < 0.3
 
 
 def test_reversed_contrast_is_no_obstacle() -> None:
@@ -42,7 +35,7 @@ def test_reversed_contrast_is_no_obstacle() -> None:
     reversed_ = np.where(pair.secondary > 0, 1 / np.maximum(cv2.blur(pair.secondary, (5, 5)), 1e-6), 0)
     reg = featreg.match(pair.reference, reversed_, method="sar-dense", model="similarity", seed=0, nodata=0)
     assert reg.status == "ok", reg.reason
-    assert grid_error(reg, pair) < 0.6
+    assert grid_rmse(reg, pair.truth, 300, 60) < 0.6
 
 
 def test_other_places_and_mirror_images_give_nothing() -> None:
@@ -60,7 +53,7 @@ def test_no_tie_point_lies_on_nodata_and_wedges_do_not_matter() -> None:
     mask = (x + y > 150) & (pair.secondary > 0)
     reg = featreg.match(pair.reference, pair.secondary, method="sar-dense", model="rigid", seed=0, secondary_mask=mask)
     assert reg.status == "ok", reg.reason
-    assert grid_error(reg, pair) < 0.2
+    assert grid_rmse(reg, pair.truth, 300, 60) < 0.2
     there = np.rint(reg.matches.secondary_xy[reg.inliers]).astype(int)
     near = cv2.dilate(mask.astype(np.uint8), np.ones((35, 35), np.uint8)) > 0
     assert near[np.clip(there[:, 1], 0, 299), np.clip(there[:, 0], 0, 299)].all()
@@ -105,7 +98,7 @@ def test_a_known_model_is_followed_without_a_search(monkeypatch: pytest.MonkeyPa
             seed=0, nodata=0,
         )  # fmt: skip
     assert reg.status == "ok", reg.reason
-    assert grid_error(reg, pair) < 0.3
+    assert grid_rmse(reg, pair.truth, 300, 60) < 0.3
 
 
 def test_a_radius_as_large_as_the_image_is_searched() -> None:

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 import featreg
 from featreg import registry
 from featreg.geometry import Affine
-from featreg.interfaces import FailedFit
 from featreg.io import as_image
 from featreg.simulate import SimulatedPair, sar_pair
+from made.models import grid_rmse
 
 SHAPE = (260, 260)
 
@@ -22,14 +22,6 @@ def known(pair: SimulatedPair, dx: float, dy: float) -> Affine:
     return Affine(pair.truth + np.array([[0, 0, dx], [0, 0, dy]]))
 
 
-def grid_error(reg: featreg.Registration, pair: SimulatedPair) -> float:
-    x, y = np.meshgrid(np.linspace(50, 210, 5), np.linspace(50, 210, 5))
-    xy = np.column_stack([x.ravel(), y.ravel()])
-    assert not isinstance(reg.model, FailedFit)
-    there = xy @ pair.truth[:, :2].T + pair.truth[:, 2]
-    return float(np.sqrt(((reg.model(xy) - there) ** 2).sum(axis=1).mean()))
-
-
 @pytest.mark.parametrize(("rotation", "scale"), [(0.0, 1.0), (128.0, 1.3), (-71.0, 0.8)])
 def test_a_model_known_to_some_pixels_is_made_exact(rotation: float, scale: float) -> None:
     pair = sar_pair(SHAPE, looks=1, rotation_deg=rotation, scale=scale, shift=(11, -7), seed=2)
@@ -37,7 +29,7 @@ def test_a_model_known_to_some_pixels_is_made_exact(rotation: float, scale: floa
         pair.reference, pair.secondary, method="rawg", seed=0, nodata=0, initial=known(pair, 5, -4), search_radius=10
     )
     assert reg.status == "ok", reg.reason
-    assert grid_error(reg, pair) < 0.4
+    assert grid_rmse(reg, pair.truth, 260, 50) < 0.4
     assert len(reg.matches) > 30
 
 
@@ -46,7 +38,7 @@ def test_reversed_contrast_is_no_obstacle() -> None:
     reverse = np.where(pair.secondary > 0, 1 / np.maximum(cv2.blur(pair.secondary, (5, 5)), 1e-6), 0)
     reg = featreg.match(pair.reference, reverse, method="rawg", model="similarity", seed=0, nodata=0)
     assert reg.status == "ok", reg.reason
-    assert grid_error(reg, pair) < 0.7
+    assert grid_rmse(reg, pair.truth, 260, 50) < 0.7
 
 
 def test_without_a_model_one_grid_is_taken_for_granted_and_that_is_said() -> None:

@@ -28,11 +28,7 @@ from featreg.pictures.spread import spread_out
 from featreg.results.registration import Registration
 from featreg.simulate import SimulatedPair, sar_pair
 from featreg.types import Image, Matches
-
-
-def image_of(pixels: Any, mask: Any = None) -> Image:
-    pixels = np.ascontiguousarray(pixels, dtype=np.float32)
-    return Image(pixels, np.ones(pixels.shape, bool) if mask is None else mask)
+from made.images import image_of
 
 
 def read(path: Path) -> Any:

@@ -10,23 +10,18 @@ from numpy.typing import NDArray
 
 from featreg.errors import ParameterError
 from featreg.geometry import Affine, Homography, Similarity
-from featreg.interfaces import FailedFit, Model
+from featreg.interfaces import Model
 from featreg.io import as_image
 from featreg.pipeline.aligned import halved
 from featreg.pipeline.refine import Refine, Refined
 from featreg.simulate import SimulatedPair, sar_pair
 from featreg.types import Image, Matches
+from made.models import grid_rmse
 
 
 def near(truth: NDArray[np.float64], by: float = 1.5) -> Affine:
     """The truth, off by `by` pixels and a little bent."""
     return Affine(truth + np.array([[0.002, 0.001, by], [-0.001, 0.002, -by]]))
-
-
-def grid_rmse(model: Model | FailedFit, truth: NDArray[np.float64], size: int = 300) -> float:
-    assert isinstance(model, Model)
-    grid = np.stack(np.meshgrid(np.linspace(0, size - 1, 9), np.linspace(0, size - 1, 9)), -1).reshape(-1, 2)
-    return float(np.sqrt(((model(grid) - grid @ truth[:, :2].T - truth[:, 2]) ** 2).sum(axis=1).mean()))
 
 
 def refined(pair: SimulatedPair, matches: Matches | None = None, n: int = 2000, **parameters: Any) -> Refined:

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import featreg
 from featreg.io.raster_source import open_source
 from featreg.pipeline.inputs import input_image
 from featreg.results.input_image import InputImage
 from featreg.results.summary import image_words
+from made.rasters import write_raster
 
 rasterio = pytest.importorskip("rasterio")
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
@@ -28,14 +28,6 @@ INSIDE = (np.arange(H) >= 6)[:, None] & np.ones((H, W), np.bool_)
 READING: dict[str, Any] = {"scale": "intensity", "nodata": -7}
 
 
-def write(path: Path, array: NDArray[Any]) -> Path:
-    bands = array if array.ndim == 3 else array[None]
-    size = {"height": bands.shape[1], "width": bands.shape[2], "count": len(bands)}
-    with rasterio.open(path, "w", driver="GTiff", dtype=bands.dtype, **size) as dataset:
-        dataset.write(bands)
-    return path
-
-
 def result(secondary: InputImage) -> featreg.Registration:
     """A registration by the identity between two images of one size."""
     xy = np.random.default_rng(1).uniform(0, 40, (60, 2))
@@ -45,7 +37,7 @@ def result(secondary: InputImage) -> featreg.Registration:
 
 @pytest.mark.parametrize("windows", [False, True])
 def test_a_result_keeps_how_its_images_were_read(windows: bool, tmp_path: Path) -> None:
-    path = write(tmp_path / "a.tif", np.stack([INTENSITY * 2, INTENSITY]))
+    path = write_raster(tmp_path / "a.tif", np.stack([INTENSITY * 2, INTENSITY]))
     reading = READING | {"band": 2}
     opened: Any = open_source(path, **reading) if windows else featreg.as_image(path, **reading)
     known = input_image(opened)
@@ -79,7 +71,7 @@ def test_a_value_of_a_file_that_was_overridden_by_none_stays_so(tmp_path: Path) 
 
 
 def test_products_of_files_follow(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.tif", INTENSITY)
+    path = write_raster(tmp_path / "a.tif", INTENSITY)
     made = result(InputImage(str(path), (H, W), **READING))
     warped = featreg.warp(made, path, resampling="nearest")
     np.testing.assert_array_equal(np.isfinite(warped), INSIDE)
@@ -109,7 +101,7 @@ def test_reports_and_pictures_read_the_same(tmp_path: Path) -> None:
     from featreg.pictures.interactive import _images
     from featreg.report.from_registration import _image
 
-    path = write(tmp_path / "a.tif", np.stack([INTENSITY * 2, INTENSITY]))
+    path = write_raster(tmp_path / "a.tif", np.stack([INTENSITY * 2, INTENSITY]))
     known = InputImage(str(path), (H, W), band="2", **READING)
     shown = _image("secondary", None, known)()
     np.testing.assert_allclose(shown.pixels[INSIDE], np.sqrt(INTENSITY[INSIDE]), rtol=1e-6)

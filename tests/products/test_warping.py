@@ -25,6 +25,7 @@ from featreg.products.warping import Product, warp_file
 from featreg.results.input_image import InputImage
 from featreg.results.registration import Registration
 from featreg.types import Geolocation, Matches
+from made.rasters import write_raster
 
 rasterio = pytest.importorskip("rasterio")
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
@@ -57,14 +58,6 @@ def files(
 ) -> None:
     write_geotiff(folder / "ref.tif", texture(samples.shape[0], samples.shape[1], seed=5), place)
     write_geotiff(folder / "sec.tif", samples, nodata=nodata)
-
-
-def write(path: Path, bands: NDArray[Any], **profile: Any) -> Path:
-    count, height, width = bands.shape
-    profile = {"driver": "GTiff", "dtype": bands.dtype.name, **profile}
-    with rasterio.open(path, "w", height=height, width=width, count=count, **profile) as dataset:
-        dataset.write(bands)
-    return path
 
 
 def read(path: Path) -> tuple[NDArray[Any], Any]:
@@ -182,7 +175,7 @@ def test_intensity_and_decibels_come_back_as_they_were(tmp_path: Path, scale: st
 def test_the_files_own_scale_and_offset_stay(tmp_path: Path) -> None:
     raw = texture(*SHAPE).astype(np.uint16)
     write_geotiff(tmp_path / "ref.tif", raw)
-    path = write(tmp_path / "sec.tif", raw[None], nodata=0)
+    path = write_raster(tmp_path / "sec.tif", raw[None], nodata=0)
     with rasterio.open(path, "r+") as dataset:
         dataset.scales, dataset.offsets = [0.5], [3.0]
     warp_file(registration(tmp_path, Affine(np.eye(3)[:2])), path, tmp_path / "out.tif")
@@ -194,7 +187,7 @@ def test_the_files_own_scale_and_offset_stay(tmp_path: Path) -> None:
 def test_bands(tmp_path: Path) -> None:
     bands = np.stack([texture(*SHAPE, seed=k) for k in (0, 1, 2)]).astype(np.uint16)
     write_geotiff(tmp_path / "ref.tif", texture(*SHAPE))
-    path = write(tmp_path / "sec.tif", bands, nodata=0)
+    path = write_raster(tmp_path / "sec.tif", bands, nodata=0)
     made = warp_file(registration(tmp_path), path, tmp_path / "all.tif")
     assert made.bands == (1, 2, 3)
     every = read(tmp_path / "all.tif")[0]
@@ -290,7 +283,7 @@ def test_a_complex_file_keeps_its_phase(tmp_path: Path, band_limited: Callable[.
     samples = band_limited(200, 0)
     quantised = (samples / np.abs(samples).max() * 3000).round().astype(np.complex64)
     write_geotiff(tmp_path / "ref.tif", quantised)
-    write(tmp_path / "sec.tif", quantised[None], dtype="complex_int16")
+    write_raster(tmp_path / "sec.tif", quantised[None], dtype="complex_int16")
     made = warp_file(registration(tmp_path, size=(200, 200)), tmp_path / "sec.tif", tmp_path / "out.tif")
     assert (made.dtype, made.nodata) == ("complex64", None)
     written = read(tmp_path / "out.tif")[0][0]
@@ -403,7 +396,7 @@ def test_coherence_needs_a_complex_reference_at_hand(
 
 def test_coherence_is_that_of_one_band(tmp_path: Path, band_limited: Callable[..., NDArray[np.complex64]]) -> None:
     samples = band_limited(128, 0)
-    write(tmp_path / "sec.tif", np.stack([samples, 2 * samples]))
+    write_raster(tmp_path / "sec.tif", np.stack([samples, 2 * samples]))
     write_geotiff(tmp_path / "ref.tif", samples)
     reg, out = registration(tmp_path, Affine(np.eye(3)[:2]), (128, 128)), tmp_path / "o.tif"
     with pytest.raises(ParameterError, match="has 2 bands, the coherence is that of one"):

@@ -22,7 +22,7 @@ from featreg.sar.gradients.ratio import (
     roewa,
     roewa_strength,
 )
-from featreg.types import Image
+from made.images import image_of
 
 Texture = Callable[..., NDArray[np.float32]]
 F64 = NDArray[np.float64]
@@ -30,11 +30,6 @@ alphas = pytest.mark.parametrize("alpha", [1.0, 2.0, 8.0])
 floors = pytest.mark.parametrize("floor", [0.0, FLOOR, 0.1])
 # float32 recursions and a logarithm good to 4e-7
 TOLERANCE = 2e-4
-
-
-def image(pixels: Any, mask: NDArray[np.bool_] | None = None) -> Image:
-    valid = np.ones(pixels.shape, np.bool_) if mask is None else mask
-    return Image(np.where(valid, pixels, 0).astype(np.float32), valid)
 
 
 def direct(amplitude: NDArray[Any], alpha: float, mask: NDArray[np.bool_], floor: float) -> tuple[F64, F64, F64, F64]:
@@ -185,7 +180,7 @@ def test_mirrored_and_transposed_images_give_mirrored_and_transposed_gradients(s
 @pytest.mark.parametrize("alpha", [0.0, -1.0, float("nan"), float("inf")])
 def test_an_impossible_alpha_is_refused(alpha: float) -> None:
     with pytest.raises(ParameterError, match="alpha"):
-        ratio_gradients(image(np.ones((20, 20))), alpha)
+        ratio_gradients(image_of(np.ones((20, 20))), alpha)
 
 
 @pytest.mark.parametrize("alpha", [1e-3, 0.02, 1e4, 1e20])
@@ -267,13 +262,13 @@ def test_eq5_is_the_root_of_the_squared_ratios() -> None:
 @pytest.mark.parametrize("eq5", [False, True])
 def test_quantised_edges_keep_the_order_and_the_gain(sar_texture: Texture, eq5: bool) -> None:
     amplitude = sar_texture(80, 90)
-    edges = quantised_edges(image(amplitude), 2.0, eq5=eq5)
+    edges = quantised_edges(image_of(amplitude), 2.0, eq5=eq5)
     strength = edge_strength(*roewa(amplitude, 2.0), eq5=True) if eq5 else roewa_strength(amplitude, 2.0)
     assert edges.dtype == np.uint8
     inner = (slice(1, -1), slice(1, -1))
     order = np.argsort(strength[inner], axis=None)
     assert (np.diff(edges[inner].ravel()[order].astype(int)) >= 0).all()
-    louder = quantised_edges(image(amplitude * 1000), 2.0, eq5=eq5).astype(int)
+    louder = quantised_edges(image_of(amplitude * 1000), 2.0, eq5=eq5).astype(int)
     assert np.abs(louder - edges).max() <= 1
 
 
@@ -281,7 +276,7 @@ def test_one_bright_ship_does_not_darken_the_other_edges(sar_texture: Texture) -
     amplitude = sar_texture(120, 120)
     ship = amplitude.copy()
     ship[60, 60] = 1e3
-    before, after = (quantised_edges(image(a), 2.0, floor=0.0).astype(int) for a in (amplitude, ship))
+    before, after = (quantised_edges(image_of(a), 2.0, floor=0.0).astype(int) for a in (amplitude, ship))
     far = np.ones(amplitude.shape, np.bool_)
     far[30:91, 30:91] = False
     assert np.abs(before - after)[far].max() <= 8
@@ -291,17 +286,17 @@ def test_one_invalid_pixel_in_a_corner_leaves_the_rest_of_the_edge_map_alone(sar
     amplitude = sar_texture(121, 121)
     mask = np.ones(amplitude.shape, np.bool_)
     mask[0, 0] = False
-    whole, holed = (quantised_edges(image(amplitude, m), 2.0).astype(int) for m in (None, mask))
+    whole, holed = (quantised_edges(image_of(amplitude, m), 2.0).astype(int) for m in (None, mask))
     assert np.abs(whole - holed)[40:, 40:].max() <= 5
 
 
 @pytest.mark.parametrize("pixels", [np.ones((20, 20)), np.zeros((20, 20))])
 def test_an_image_without_content_has_no_edges(pixels: NDArray[np.float64]) -> None:
-    assert quantised_edges(image(pixels), 2.0).max() == 0
+    assert quantised_edges(image_of(pixels), 2.0).max() == 0
 
 
 def test_an_image_without_a_valid_pixel_has_no_edges() -> None:
-    assert not quantised_edges(image(np.ones((20, 20)), np.zeros((20, 20), np.bool_)), 2.0).any()
+    assert not quantised_edges(image_of(np.ones((20, 20)), np.zeros((20, 20), np.bool_)), 2.0).any()
 
 
 def test_tiles_and_strips_leave_no_trace(sar_texture: Texture, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -25,14 +25,9 @@ from featreg.sar.orientation.windows import (
     together,
 )
 from featreg.simulate import sar_pair
-from featreg.types import Image
+from made.images import image_of
 
 F32 = NDArray[np.float32]
-
-
-def image(pixels: NDArray[np.floating], mask: NDArray[np.bool_] | None = None) -> Image:
-    mask = np.ones(pixels.shape, np.bool_) if mask is None else mask
-    return Image(np.where(mask, pixels, 0).astype(np.float32), mask)
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +77,7 @@ def test_gain_leaves_the_field_and_its_length_stays_below_one(scene: F32) -> Non
 def test_nothing_is_seen_in_nodata_at_the_border_or_where_all_is_equal(scene: F32) -> None:
     mask = np.ones(scene.shape, np.bool_)
     mask[60:120, 80:150] = False
-    field = orientation_field(image(scene, mask), 3.0)
+    field = orientation_field(image_of(scene, mask), 3.0)
     near = cv2.dilate((~mask).astype(np.uint8), np.ones((11, 11), np.uint8)) > 0
     assert not field[near].any()
     assert not field[:3].any()
@@ -123,7 +118,7 @@ def test_highest_is_the_largest_value_over_its_noise() -> None:
 @pytest.mark.parametrize(("rotation", "scale"), [(0.0, 1.0), (137.0, 1.0), (-61.0, 1.5), (20.0, 0.62)])
 def test_search_finds_any_rotation_and_scale(rotation: float, scale: float) -> None:
     pair = sar_pair((300, 300), looks=1, rotation_deg=rotation, scale=scale, shift=(25, -12), seed=5)
-    found = search(image(pair.reference), image(pair.secondary), Grid(48, 7.5, scale_steps(2.0, 1.15)), most=3)
+    found = search(image_of(pair.reference), image_of(pair.secondary), Grid(48, 7.5, scale_steps(2.0, 1.15)), most=3)
     xy = np.array([[60.0, 60], [240, 60], [60, 240], [240, 240]])
     off = np.hypot(
         *(xy @ found[0].affine[:, :2].T + found[0].affine[:, 2] - (xy @ pair.truth[:, :2].T + pair.truth[:, 2])).T
@@ -133,9 +128,9 @@ def test_search_finds_any_rotation_and_scale(rotation: float, scale: float) -> N
 
 
 def test_search_of_nothing_is_empty() -> None:
-    flat = image(np.ones((80, 80)))
+    flat = image_of(np.ones((80, 80)))
     assert search(flat, flat, Grid(), most=3) == []
-    hidden = image(np.ones((80, 80)), np.zeros((80, 80), np.bool_))
+    hidden = image_of(np.ones((80, 80)), np.zeros((80, 80), np.bool_))
     assert search(hidden, flat, Grid(), most=3) == []
 
 
@@ -151,7 +146,7 @@ def test_windows_measure_a_shift_and_leave_out_what_is_not_there(scene: F32) -> 
     mask = np.ones(scene.shape, np.bool_)
     mask[:100, :100] = False
     shifted = np.array([[1.0, 0, 5], [0, 1, -3]])
-    level = aligned(image(scene), image(scene, mask), shifted, 240, 2.0)
+    level = aligned(image_of(scene), image_of(scene, mask), shifted, 240, 2.0)
     found = correlated(level, 32, 8)
     best = found.values.reshape(len(found), -1).argmax(axis=1)
     # The secondary sampled 5 to the right and 3 above shows each structure 5 to the left and 3 below.
@@ -167,7 +162,7 @@ def test_windows_measure_a_shift_and_leave_out_what_is_not_there(scene: F32) -> 
 def test_sums_of_products_are_what_spectra_give(scene: F32, side: int, reach: int) -> None:
     mask = np.ones(scene.shape, np.bool_)
     mask[:90, 100:] = False
-    level = aligned(image(scene), image(scene, mask), np.array([[1.0, 0, 2], [0, 1, 1]]), 240, 1.2)
+    level = aligned(image_of(scene), image_of(scene, mask), np.array([[1.0, 0, 2], [0, 1, 1]]), 240, 1.2)
     # In the corners a part of the displaced window lies outside.
     at = np.array([[0, 0], [0, 240 - side], [240 - side, 0], [240 - side, 240 - side], [80, 91], [97, 120]])
     found, expected = (np.zeros((len(at), 2 * reach + 1, 2 * reach + 1), np.float32) for _ in range(2))

@@ -16,6 +16,7 @@ from featreg.sar.orientation.scales import finer, with_coarser
 from featreg.sar.orientation.windows import Surfaces, correlated, correlated_around
 from featreg.simulate import sar_pair
 from featreg.types import Image
+from made.images import image_of
 
 F32 = NDArray[np.float32]
 SIDE, ALPHA, STEP = 260, 0.8, 24
@@ -23,16 +24,12 @@ SIDE, ALPHA, STEP = 260, 0.8, 24
 MOVED = (2.0, -1.0)
 
 
-def image(pixels: NDArray[np.floating]) -> Image:
-    return Image(pixels.astype(np.float32), np.ones(pixels.shape, np.bool_))
-
-
 def drawn(looks: float, speckle: float, seed: int) -> tuple[Image, Image]:
     """A scene under speckle of `looks`, and of `speckle` looks more in either image, the second one displaced."""
     pair = sar_pair((SIDE, SIDE), looks=looks, rotation_deg=0, scale=1, shift=MOVED, seed=seed)
     rng = np.random.default_rng(seed)
     more = [np.sqrt(rng.gamma(speckle, 1 / speckle, (SIDE, SIDE))) for _ in range(2)]
-    return image(pair.reference * more[0]), image(np.maximum(pair.secondary, 1e-3) * more[1])
+    return image_of(pair.reference * more[0]), image_of(np.maximum(pair.secondary, 1e-3) * more[1])
 
 
 def level_of(one: Image, other: Image) -> tuple[Level, Surfaces]:
@@ -75,7 +72,7 @@ def test_windows_that_agree_and_images_of_different_kind_stay_with_the_finer_lev
     level, found = level_of(one, other)
     assert with_coarser(one, other, level, found, SIDE, ALPHA) is found
     one, other = drawn(1, 0.5, 0)
-    smooth = image(np.asarray(cv2.GaussianBlur(one.amplitude, (0, 0), 4), np.float32))
+    smooth = image_of(np.asarray(cv2.GaussianBlur(one.amplitude, (0, 0), 4), np.float32))
     level, found = level_of(smooth, other)
     assert with_coarser(smooth, other, level, found, SIDE, ALPHA) is found
 
