@@ -21,6 +21,7 @@ from types import FunctionType
 from typing import Any, TypeVar, cast
 
 from featreg.runtime.calling import MISS
+from featreg.runtime.kernel_sources import OPTIONS, source_digest
 from featreg.runtime.precompiled import Bound, key_of, prepared
 
 logger = logging.getLogger(__name__)
@@ -133,22 +134,28 @@ class Kernel:
                 function = cast(FunctionType, self.function)
                 copy = FunctionType(function.__code__, scope, function.__name__, function.__defaults__)
                 copy.__qualname__, copy.__doc__ = function.__qualname__, function.__doc__
-                self._dispatcher = _jit(copy, self.inline)
+                self._dispatcher = _jit(copy, self.inline, source_digest(self) if keeping else "")
         return self._dispatcher
 
 
-def _jit(function: Callable[..., Any], inline: str) -> Any:
+def _jit(function: FunctionType, inline: str, digest: str) -> Any:
+    """A function of our own making as numba compiles it; `digest` says what it is compiled from, "" where none can."""
     import numba
 
-    options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "inline": inline}
-    if not keeping:
-        return numba.njit(**options)(function)
-    if _may_have_folder():
+    if keeping and digest and _may_have_folder():
+        plain = function.__qualname__
+        # By itself numba takes what it kept while the file of the function is as it was, whatever became of the values
+        # and the functions that this imports: what is compiled from something else gets another name.
+        function.__qualname__ = f"{plain}_{digest[:16]}"
         # RuntimeError: no folder of this installation or of the user can be written.
         with contextlib.suppress(RuntimeError):
-            return numba.njit(cache=True, **options)(function)
-    _say_once()
-    return numba.njit(**options)(function)
+            return numba.njit(cache=True, inline=inline, **OPTIONS)(function)
+        function.__qualname__ = plain
+    if keeping and digest:
+        _say_once()
+    elif keeping:
+        logger.warning("%s reads what may be another at each start: its code is not kept", function.__qualname__)
+    return numba.njit(inline=inline, **OPTIONS)(function)
 
 
 def numba_loaded() -> bool:

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
-import hashlib
 import json
 import os
 import zlib
@@ -22,15 +21,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from featreg.runtime import calling, machine
 from featreg.runtime.calling import MISS
+from featreg.runtime.kernel_sources import Source, source_digest
 
-#: What translates kernels: where it changed, what it made before does not serve.
-TRANSLATOR = Path(__file__).with_name("precompiling.py")
 #: Offsets in bytes of the fields of an array of numpy, as its code has them: data, extents and strides.
 DATA, EXTENTS, STRIDES = calling.DATA, calling.EXTENTS, calling.STRIDES
 
@@ -59,18 +57,6 @@ OTHER_CODE = {
 _KINDS = {kind: name for name, (kinds, _, _) in NUMBERS.items() for kind in kinds}
 #: Kinds of results: what holds them.
 RESULTS = {"int": ctypes.c_int64, "float": ctypes.c_double, "bool": ctypes.c_int64}
-
-
-class Source(Protocol):
-    """What is asked of a kernel."""
-
-    function: Callable[..., Any]
-
-    @property
-    def path(self) -> Path: ...
-
-    @property
-    def used(self) -> dict[str, Any]: ...
 
 
 def key_of(values: tuple[Any, ...]) -> tuple[str, ...] | None:
@@ -196,21 +182,6 @@ class Prepared:
 def file_of(source: Path) -> Path:
     """Where the prepared kernels of a module lie."""
     return source.with_suffix(".bc")
-
-
-def source_digest(kernel: Source) -> str:
-    """Digest of the source of a kernel's module, of those from which it takes kernels, and of what translates them."""
-    paths, seen, left = {kernel.path}, {id(kernel)}, [kernel]
-    while left:
-        for used in left.pop().used.values():
-            if id(used) not in seen:
-                seen.add(id(used))
-                paths.add(used.path)
-                left.append(used)
-    digest = hashlib.sha256(f"{DATA} {EXTENTS} {STRIDES}".encode())
-    for path in (TRANSLATOR, *sorted(paths, key=lambda path: path.name)):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
 
 
 def written(entries: dict[tuple[str, str], list[Prepared]], llvm: list[int], triple: str) -> bytes:

@@ -107,6 +107,6 @@ def test_where_numba_compiles_nothing_it_keeps_nothing(monkeypatch: pytest.Monke
 
     twice.__module__ = module.__name__
     module.twice = jit.compiled(twice)
-    monkeypatch.setattr(jit, "_jit", lambda function, inline: function)
+    monkeypatch.setattr(jit, "_jit", lambda function, *_: function)
     assert _folders(module) == set()
     assert module.twice(21) == 42

@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 import featreg
-from featreg.runtime import calling, jit, machine, precompiled
+from featreg.runtime import calling, jit, kernel_sources, machine, precompiled
+from featreg.runtime.kernel_sources import source_digest
 from featreg.runtime.machine import Machine
 from featreg.runtime.preparing import LIST
 from featreg.sar.keypoints import binary_kernels, corner_kernels, hamming_kernels, motion_kernels
@@ -285,24 +286,24 @@ def test_a_digest_is_of_all_that_a_kernel_calls_also_through_others_of_its_modul
         for name in {"called", "between", "deep"} & made.keys():
             function = FunctionType(made[name].__code__, scope, name)
             scope[name] = jit.Kernel(function, "never")
-    before = [precompiled.source_digest(scope[name]) for name in ("called", "between", "deep")]
+    before = [source_digest(scope[name]) for name in ("called", "between", "deep")]
     inner.write_text(inner.read_text() + "#")
-    after = [precompiled.source_digest(scope[name]) for name in ("called", "between", "deep")]
+    after = [source_digest(scope[name]) for name in ("called", "between", "deep")]
     assert all(one != other for one, other in zip(before, after, strict=True))
 
 
 def test_what_another_translator_made_is_left_to_numba(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     in_place(corner_kernels)
     kernel: Any = corner_kernels.in_order
-    of_this = precompiled.source_digest(kernel)
+    of_this = source_digest(kernel)
     assert [entry["source"] for entry in precompiled.current(kernel)] == [of_this]
     other = tmp_path / "precompiling.py"
-    other.write_bytes(precompiled.TRANSLATOR.read_bytes())
-    monkeypatch.setattr(precompiled, "TRANSLATOR", other)
-    assert precompiled.source_digest(kernel) == of_this
+    other.write_bytes(kernel_sources.TRANSLATOR.read_bytes())
+    monkeypatch.setattr(kernel_sources, "TRANSLATOR", other)
+    assert source_digest(kernel) == of_this
     other.write_bytes(other.read_bytes() + b"#")
-    monkeypatch.setattr(precompiled, "_digest", precompiled.source_digest)
-    assert precompiled.source_digest(kernel) != of_this
+    monkeypatch.setattr(precompiled, "_digest", source_digest)
+    assert source_digest(kernel) != of_this
     assert precompiled.current(kernel) == []
 
 
