@@ -161,15 +161,18 @@ def climbed(
     """
     side, far = 2 * half + 1, search + 1
     shifts, wide = 2 * far + 1, side + 2 * far
-    stride = (wide + 16) // 16 * 16
+    # Rows follow one another without a gap; as many columns as fill whole vectors are looked at, the last of them those
+    # of the row below.
+    stride, columns_read, window_read = wide, (wide + 16) // 16 * 16, (side + 15) // 16 * 16
     # Whole vectors, several at a time.
     count = (side * stride + 127) // 128 * 128
     # What is beyond a window stays 0.
-    window, other = np.zeros(count, np.int16), np.zeros((wide + 1) * stride + 128, np.int16)
-    columns, squares = np.empty((shifts, stride), np.int32), np.empty((shifts, stride), np.int32)
-    sum_before, square_before = np.empty((shifts, stride), np.int64), np.empty((shifts, stride), np.int64)
+    window, other = np.zeros(count + 64, np.int16), np.zeros((wide + 1) * stride + 128 + 64, np.int16)
+    columns, squares = np.empty((shifts, columns_read), np.int32), np.empty((shifts, columns_read), np.int32)
+    sum_before = np.empty((shifts, columns_read), np.int64)
+    square_before = np.empty((shifts, columns_read), np.int64)
     values = np.empty((shifts, shifts), np.float64)
-    inside, line = np.zeros(count, np.int16), np.empty(stride, np.float32)
+    inside, line = np.zeros(count + 64, np.int16), np.empty(columns_read, np.float32)
     for r in range(side):
         inside[r * stride : r * stride + side] = 1
     area = np.int64(side * side)
@@ -177,8 +180,8 @@ def climbed(
         corner_a = (ys[i] - half) * width_a + xs[i] - half
         corner_b = (vs[i] - half - far) * width_b + us[i] - half - far
         # Whole vectors are quicker, where the maps do not end before; what is beyond a window has to be 0.
-        across_a = stride if corner_a + (side - 1) * width_a + stride <= flat_a.shape[0] else side
-        across_b = stride if corner_b + (wide - 1) * width_b + stride <= flat_b.shape[0] else wide
+        across_a = window_read if corner_a + (side - 1) * width_a + window_read <= flat_a.shape[0] else side
+        across_b = columns_read if corner_b + (wide - 1) * width_b + columns_read <= flat_b.shape[0] else wide
         level_a, level_b = flat_a[ys[i] * width_a + xs[i]], flat_b[vs[i] * width_b + us[i]]
         gain_a, gain_b = steps_a, steps_b
         x, y = min(max(now[i, 0], -search), search), min(max(now[i, 1], -search), search)
