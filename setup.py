@@ -12,6 +12,7 @@ from pathlib import Path
 
 from setuptools import setup
 from setuptools.command.build_py import build_py
+from setuptools.errors import OptionError
 
 #: Each imports numba and LLVM for itself, and Windows has no pools of more than 61.
 MOST_WORKERS = 8
@@ -21,13 +22,16 @@ class BuildWithKernels(build_py):
     """Copies the modules as ever, then writes the translated kernels beside them; in the sources where editable."""
 
     def run(self) -> None:
+        asked = os.environ.get("FEATREG_KERNELS", "")
+        if asked not in ("", "numba", "bitcode"):
+            raise OptionError(f"FEATREG_KERNELS is '{asked}', give 'numba' or 'bitcode', or leave it unset")
         super().run()
         root = Path(__file__).resolve().parent if self.editable_mode else Path(self.build_lib).resolve()
         if not self.editable_mode:
             # What lay beside the sources was made for them as they were then, on whichever machine.
             for old in root.rglob("*_kernels.bc"):
                 old.unlink()
-        if os.environ.get("FEATREG_KERNELS") == "numba":
+        if asked == "numba":
             return
         script = root / "featreg" / "runtime" / "preparing.py"
         done = subprocess.run([sys.executable, str(script), str(root), str(worker_count())], check=False)

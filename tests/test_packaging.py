@@ -148,3 +148,8 @@ def test_a_build_takes_no_translated_kernels_from_beside_the_sources(
     made = sorted(path.name for path in (tmp_path / "build").rglob("*.*"))
     assert made == ["__init__.py", "a_kernels.py", "table.bc"]
     assert 1 <= setup.worker_count() <= setup.MOST_WORKERS
+    monkeypatch.setenv("FEATREG_KERNELS", "nubma")
+    with pytest.raises(
+        pytest.importorskip("setuptools.errors").OptionError, match="'nubma', give 'numba' or 'bitcode'"
+    ):
+        command.run()

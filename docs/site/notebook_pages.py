@@ -36,7 +36,10 @@ def pages_of(notebooks: list[Path]) -> Iterator[tuple[str, str | bytes]]:
 
     FEATREG_NOTEBOOKS=plain leaves out what the cells would give, for those who write on another page.
     """
-    plain = os.environ.get("FEATREG_NOTEBOOKS") == "plain"
+    asked = os.environ.get("FEATREG_NOTEBOOKS", "")
+    if asked not in ("", "plain"):
+        raise SystemExit(f"FEATREG_NOTEBOOKS is '{asked}', give 'plain' or leave it unset")
+    plain = asked == "plain"
     with ThreadPoolExecutor(AT_A_TIME) as pool:
         for path, notebook in zip(notebooks, pool.map(_read if plain else executed, notebooks), strict=True):
             yield from page_of(path.stem, notebook)

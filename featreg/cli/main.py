@@ -22,6 +22,7 @@ import typer
 from featreg._version import __version__
 from featreg.cli.completion import asked_words
 from featreg.errors import FeatregError, UnknownNameError, suggest
+from featreg.runtime.environment import TRACEBACK, check_environment
 from featreg.runtime.progress import close_bars
 
 #: Name -> module in `featreg.cli`, function, its first sentence. Only the one that is asked for is imported.
@@ -138,6 +139,8 @@ def _run(given: Sequence[str]) -> int:
             _check_command(given)
             # A shell that asks what could follow gives the words on its line, and no arguments.
             words = asked_words()
+            if words is None:
+                check_environment()
             try:
                 code = application(given if words is None else words)(
                     args=given, prog_name="featreg", standalone_mode=False
@@ -187,7 +190,7 @@ def _explain(error: Exception, arguments: Sequence[str]) -> int:
         code = 2
     else:
         code, text = 1, f"internal error: {type(error).__name__}: {error}"
-        if os.environ.get("FEATREG_TRACEBACK"):
+        if os.environ.get(TRACEBACK) == "1":
             import traceback
 
             traceback.print_exception(error)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from featreg.runtime.threads import available_processors
+from featreg.runtime.threads import available_processors, stated_threads
 from featreg.types import FloatArray, IntArray
 
 C64 = NDArray[np.complex64]
@@ -264,5 +263,4 @@ def default_workers() -> int:
     import cv2
 
     cores = available_processors()
-    stated = os.environ.get("OMP_NUM_THREADS", "")
-    return max(1, min(cores, cv2.getNumThreads(), int(stated) if stated.isdigit() and int(stated) else cores))
+    return max(1, min(cores, cv2.getNumThreads(), stated_threads() or cores))

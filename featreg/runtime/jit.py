@@ -142,6 +142,8 @@ def _jit(function: FunctionType, inline: str, digest: str) -> Any:
     """A function of our own making as numba compiles it; `digest` says what it is compiled from, "" where none can."""
     import numba
 
+    if numba.config.DISABLE_JIT:
+        _say_not_compiled_once()
     if keeping and digest and _may_have_folder():
         plain = function.__qualname__
         # By itself numba takes what it kept while the file of the function is as it was, whatever became of the values
@@ -176,4 +178,13 @@ def _say_once() -> None:
         logger.warning(
             "compiled code cannot be kept, every start compiles anew: neither the folder of the package nor the user's "
             "cache can be written; set NUMBA_CACHE_DIR to a folder that can"
+        )
+
+
+@lru_cache(maxsize=1)
+def _say_not_compiled_once() -> None:
+    if multiprocessing.parent_process() is None:
+        logger.warning(
+            "NUMBA_DISABLE_JIT, or .numba_config.yaml in this folder, keeps numba from compiling: kernels of which "
+            "nothing is prepared run as Python, very slowly and with other types of numbers, and results may differ"
         )

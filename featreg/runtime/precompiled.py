@@ -27,6 +27,7 @@ import numpy as np
 
 from featreg.runtime import calling, machine
 from featreg.runtime.calling import MISS
+from featreg.runtime.environment import KERNELS, setting
 from featreg.runtime.kernel_sources import Source, source_digest
 
 #: Offsets in bytes of the fields of an array of numpy, as its code has them: data, extents and strides.
@@ -241,7 +242,7 @@ def current(kernel: Source) -> list[dict[str, Any]]:
 def left_to_numba() -> bool:
     """Whether the environment asks for numba itself, or for code that only numba makes."""
     other = any(os.environ.get(name, "") not in ("", usual) for name, usual in OTHER_CODE.items())
-    return other or os.environ.get("FEATREG_KERNELS") == "numba"
+    return other or setting(KERNELS) == "numba"
 
 
 def prepared_here(kernel: Source) -> bool:
@@ -266,7 +267,7 @@ def prepared(kernel: Source, key: tuple[str, ...] | None) -> Bound | None:
             if here is None or not here.takes(found[0]["llvm"], found[0]["triple"]):
                 return None
             code, made = (found[1][start : start + size] for start, size in (entry["at"], entry["made"]))
-            if found[0]["machine"] != here.identity or os.environ.get("FEATREG_KERNELS") == "bitcode":
+            if found[0]["machine"] != here.identity or setting(KERNELS) == "bitcode":
                 made = b""
             symbol, result, outputs = entry["symbol"], entry["result"], tuple(entry["outputs"])
             addresses = here.addresses(symbol, code, key, result, outputs, made)
@@ -278,7 +279,7 @@ def prepared(kernel: Source, key: tuple[str, ...] | None) -> Bound | None:
 def ready(one: Prepared) -> Prepared:
     """A kernel with its machine code for the processor at hand, where there is such."""
     here = machine.machine()
-    if here is None or os.environ.get("FEATREG_KERNELS") == "bitcode":
+    if here is None or setting(KERNELS) == "bitcode":
         return one
     entry = calling.entered(one.symbol, one.key, one.result, one.outputs)
     # Without machine code it is made at the first call, where a failure is said.

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import os
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
@@ -20,6 +21,8 @@ from typing import Any
 
 #: Module of kernels -> kernel -> kinds of the arguments of each call, as `featreg.runtime.precompiled.key_of` has them.
 LIST = Path(__file__).with_name("kernels.json")
+#: Variables of numba that name the processor for which machine code is made.
+PROCESSOR = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES", "NUMBA_ENABLE_AVX")
 
 
 def prepare(root: Path, workers: int = 2) -> dict[str, str]:
@@ -36,7 +39,7 @@ def prepare(root: Path, workers: int = 2) -> dict[str, str]:
     """
     listed: dict[str, dict[str, list[list[str]]]] = json.loads(LIST.read_text(encoding="utf-8"))
     missing: dict[str, str] = {}
-    with ProcessPoolExecutor(workers, get_context("spawn"), _bare, (str(root), list(listed))) as pool:
+    with ProcessPoolExecutor(workers, get_context("spawn"), _bare, (str(root.resolve()), list(listed))) as pool:
         for one in pool.map(_module, *zip(*listed.items(), strict=True)):
             missing |= one
     return missing
@@ -44,6 +47,11 @@ def prepare(root: Path, workers: int = 2) -> dict[str, str]:
 
 def _bare(root: str, modules: list[str]) -> None:
     """Stand in for the packages above the kernels, whose own code would import what need not be there."""
+    # What a developer asks of numba, by variables or by a .numba_config.yaml where this is run, is not for what is
+    # handed out; only for which processor is.
+    for name in [name for name in os.environ if name.startswith("NUMBA_") and name not in PROCESSOR]:
+        del os.environ[name]
+    os.chdir(Path(__file__).parent)
     sys.path.insert(0, root)
     for module in modules:
         parts = module.split(".")[:-1]
@@ -86,7 +94,7 @@ def _module(name: str, kernels: dict[str, list[list[str]]]) -> dict[str, str]:
 def main() -> None:
     """The command."""
     root = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parents[2]
-    missing = prepare(root.resolve(), int(sys.argv[2]) if len(sys.argv) > 2 else 2)
+    missing = prepare(root, int(sys.argv[2]) if len(sys.argv) > 2 else 2)
     for what, why in missing.items():
         sys.stdout.write(f"{what}: {why}\n")
 

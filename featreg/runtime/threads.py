@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import operator
 import os
 import sys
@@ -16,6 +17,7 @@ from typing import Any, TypeVar
 
 from featreg.errors import ParameterError
 
+logger = logging.getLogger(__name__)
 T = TypeVar("T")
 
 #: What OpenCV had before each block of `opencv_threads` that has not ended, in the order in which they began.
@@ -244,6 +246,21 @@ class _Job:
         finally:
             # The error holds this frame: together they would keep what the functions hold until the next collection.
             del error
+
+
+def stated_threads() -> int | None:
+    """How many threads OMP_NUM_THREADS allows; None where it says nothing, or nothing that makes sense, which is said.
+
+    As OpenMP has it: a whole number above 0, or one for each level of nested threads, of which the first counts.
+    """
+    stated = os.environ.get("OMP_NUM_THREADS", "").strip()
+    try:
+        count = int(stated.partition(",")[0])
+    except ValueError:
+        count = 0
+    if stated and count < 1:
+        logger.warning("OMP_NUM_THREADS is '%s', which is no number of threads above 0: it sets no limit", stated)
+    return count if count >= 1 else None
 
 
 def use_one_thread() -> None:

@@ -110,3 +110,14 @@ def test_where_numba_compiles_nothing_it_keeps_nothing(monkeypatch: pytest.Monke
     monkeypatch.setattr(jit, "_jit", lambda function, *_: function)
     assert _folders(module) == set()
     assert module.twice(21) == 42
+
+
+def test_kernels_that_numba_is_kept_from_compiling_are_said(tmp_path: Path) -> None:
+    code = "from featreg.runtime.jit import compiled\n@compiled\ndef twice(x):\n    return 2 * x\nprint(twice(21))"
+    (tmp_path / "probe.py").write_text(code)
+    done = subprocess.run(
+        [sys.executable, "probe.py"], cwd=tmp_path, env={**os.environ, "NUMBA_DISABLE_JIT": "1"}, capture_output=True,
+        text=True, check=True,
+    )  # fmt: skip
+    assert done.stdout == "42\n"
+    assert done.stderr.count("keeps numba from compiling") == 1

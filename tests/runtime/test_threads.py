@@ -19,6 +19,7 @@ import pytest
 
 import featreg
 from featreg.errors import ParameterError
+from featreg.focusing import pulse_spectra
 from featreg.runtime import threads
 from featreg.runtime.threads import (
     available_processors,
@@ -28,6 +29,7 @@ from featreg.runtime.threads import (
     opencv_threads,
     side_by_side,
     single_threaded,
+    stated_threads,
     worker_count,
 )
 from featreg.simulate import sar_pair
@@ -221,3 +223,22 @@ def test_impossible_workers_are_refused_wherever_they_are_taken(given: Any) -> N
         focus(np.ones((20, 20), np.complex64), workers=given)
     with pytest.raises(ParameterError, match="workers must be"):
         featreg.compare([(np.ones((20, 20), np.float32),) * 2], ["sar-orb"], workers=given)
+
+
+@pytest.mark.parametrize(
+    ("stated", "count"),
+    [
+        ("3", 3), (" 3 ", 3), ("4,2", 4), ("", None), (" ", None), ("0", None), ("-2", None), ("abc", None),
+        ("2.5", None), (",2", None), ("\u00b2", None),
+    ],
+)  # fmt: skip
+def test_a_limit_that_means_nothing_is_said_and_sets_none(
+    stated: str, count: int | None, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", stated)
+    assert stated_threads() == count
+    said = f"OMP_NUM_THREADS is '{stated}', which is no number of threads above 0" in caplog.text
+    assert said == (count is None and bool(stated.strip()))
+    monkeypatch.setattr(pulse_spectra, "available_processors", lambda: 8)
+    monkeypatch.setattr(cv2, "getNumThreads", lambda: 8)
+    assert pulse_spectra.default_workers() == (count or 8)
