@@ -109,6 +109,22 @@ def test_unrelated_images_each_keep_their_own_angles(sar_texture: Texture) -> No
     assert np.unique(np.round(found.rotation, 3)).size > 10
 
 
+def test_more_features_vote_where_the_strongest_do_not_agree(
+    turned_pair: SimulatedPair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    images = as_image(turned_pair.reference), as_image(turned_pair.secondary)
+    voted = matcher().match(*images)
+    monkeypatch.setattr("featreg.pipeline.feature_matcher.VOTERS", 10)  # too few of them meet
+    again = matcher().match(*images)
+    assert again.rotation is not None
+    np.testing.assert_allclose(np.degrees(again.rotation), 30.0, atol=3.0)
+    assert correct(again, turned_pair.truth).sum() > 0.9 * correct(voted, turned_pair.truth).sum()
+    monkeypatch.setattr("featreg.pipeline.feature_matcher.MORE_VOTERS", 10)
+    alone = matcher().match(*images)
+    assert alone.rotation is not None
+    assert np.unique(np.round(alone.rotation, 3)).size > 10
+
+
 def test_the_budget_holds_for_each_image(sar_texture: Texture) -> None:
     """Also where the detector itself knows no budget."""
     rng = np.random.default_rng(0)
