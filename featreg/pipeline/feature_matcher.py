@@ -61,8 +61,8 @@ class FeatureMatcher(Matcher):
     Under speckle the orientation of a single keypoint is off by tens of degrees, but two images of one scene are turned
     by one angle. With `common_rotation` the strongest features, described by their own angles, vote on it; where the
     vote is clear, all features of the reference are described upright and those of the secondary turned by that angle.
-    Where 500 of each image do not agree, 2000 are asked: on change pairs and floods that is one in five, and four fifths
-    of these have their rotation then. Where the vote is not clear either, each feature keeps its own.
+    Where 500 of each image do not agree, which happens on one in five of change pairs and floods, 2000 are asked: four
+    fifths of these have their rotation then. Where the vote is not clear either, each feature keeps its own.
     """
 
     detector: Detector
