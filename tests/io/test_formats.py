@@ -2,47 +2,22 @@
 
 from __future__ import annotations
 
-import shutil
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import rasterio
 from numpy.typing import NDArray
 
 from featreg.errors import InputError
 from featreg.io import as_image
-from featreg.io.bands import Choice, choose, name_of
-from featreg.io.raster_files import SAMPLE, scale_by_strips
-from featreg.io.raster_source import RasterSource, Window, open_source
-from featreg.io.reader import Band, Raster
+from featreg.io.raster_source import Window, open_source
+from made.placed_rasters import AMPLITUDE, BYTES, COMPLEX, CRS, TRANSFORM, H, W, archive, safe, write
 
-rasterio = pytest.importorskip("rasterio")
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
-
-H, W = 60, 90
-RNG = np.random.default_rng(5)
-AMPLITUDE = (RNG.gamma(2, 30, (H, W)) + 1).astype(np.float32)
-BYTES = np.clip(AMPLITUDE, 1, 250).astype(np.uint8)
-COMPLEX = np.round(AMPLITUDE * np.exp(1j * RNG.uniform(0, 6, (H, W)))).astype(np.complex64)
-CRS = "EPSG:32611"
-TRANSFORM = (10.0, 0.0, 500000.0, 0.0, -10.0, 4200000.0)
 X, Y = 500000 + 10 * (np.arange(W) + 0.5), 4200000 - 10 * (np.arange(H) + 0.5)
-
-
-def write(path: Path, array: NDArray[Any], driver: str, place: bool = True, **more: Any) -> Path:
-    """Write (H, W) or (B, H, W) with rasterio."""
-    bands = array if array.ndim == 3 else array[None]
-    names = more.pop("names", ())
-    where = {"crs": CRS, "transform": rasterio.Affine(*TRANSFORM)} if place else {}
-    size = {"height": bands.shape[1], "width": bands.shape[2], "count": len(bands)}
-    with rasterio.open(path, "w", driver=driver, **{"dtype": bands.dtype, **size, **where, **more}) as dataset:
-        dataset.write(bands)
-        for number, name in enumerate(names, start=1):
-            dataset.set_band_description(number, name)
-    return path
 
 
 def virtual(folder: Path) -> Path:
@@ -50,14 +25,6 @@ def virtual(folder: Path) -> Path:
 
     copy(write(folder / "a.tif", AMPLITUDE, "GTiff"), folder / "a.vrt", driver="VRT")
     return folder / "a.vrt"
-
-
-def archive(folder: Path) -> Path:
-    write(folder / "a.tif", AMPLITUDE, "GTiff")
-    with zipfile.ZipFile(folder / "p.zip", "w", zipfile.ZIP_DEFLATED) as file:
-        file.write(folder / "a.tif", "inside/a.tif")
-        file.writestr("readme.txt", "words")
-    return folder / "p.zip"
 
 
 def hdf5(folder: Path, data: NDArray[Any] = AMPLITUDE) -> str:
@@ -119,21 +86,6 @@ def new_matlab(folder: Path) -> Path:
     with (folder / "a.mat").open("r+b") as raw:
         raw.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
     return folder / "a.mat"
-
-
-def safe(folder: Path) -> Path:
-    from rasterio.control import GroundControlPoint
-
-    root = folder / "S1A_IW_GRDH_1SDV_x.SAFE"
-    (root / "measurement").mkdir(parents=True)
-    gcps = [GroundControlPoint(r, c, -118 + c * 1e-4, 34 - r * 1e-4, 12.0) for r in (0, H) for c in (0, W // 2, W)]
-    objects = ""
-    for pol, gain in (("vv", 1), ("vh", 2)):
-        name = f"measurement/s1a-iw-grd-{pol}-20200101t000000-20200101t000025-030000-036fd5-001.tiff"
-        write(root / name, (AMPLITUDE * gain).astype(np.uint16), "GTiff", False, crs="EPSG:4326", gcps=gcps)
-        objects += f'<dataObject><byteStream><fileLocation href="./{name}"/></byteStream></dataObject>'
-    (root / "manifest.safe").write_text(f"<XFDU><dataObjectSection>{objects}</dataObjectSection></XFDU>")
-    return root
 
 
 TILES: dict[str, Any] = {"tiled": True, "blockxsize": 16, "blockysize": 16}
@@ -243,217 +195,3 @@ def test_a_header_and_a_name_without_a_file_are_named(tmp_path: Path) -> None:
         as_image(tmp_path / "a.hdr")
     with pytest.raises(InputError, match="GDAL finds no such file"):
         as_image("/vsizip/nothing.zip/a.tif")
-
-
-def test_samples_that_begin_like_a_bitmap_are_none(tmp_path: Path) -> None:
-    raw = BYTES.copy()
-    raw[0, :2] = list(b"BM")
-    np.testing.assert_array_equal(as_image(write(tmp_path / "a.dat", raw, "ENVI")).pixels, raw)
-
-
-def test_of_several_bands_one_must_be_named(tmp_path: Path) -> None:
-    names = ["Sigma0_VV", "Gamma0_VV", "Sigma0_VH"]
-    path = write(tmp_path / "a.tif", np.stack([AMPLITUDE * k for k in (1, 2, 3)]), "GTiff", names=names)
-    with pytest.raises(InputError, match=r"has 3 bands, state which one as band .*1 'Sigma0_VV' .*3 'Sigma0_VH'"):
-        as_image(path)
-    assert as_image(path, band="vh").band == "Sigma0_VH"
-    np.testing.assert_array_equal(as_image(path, band="gamma0").pixels, AMPLITUDE * 2)
-    for band in (3, "3", "Sigma0_VH", "VH"):
-        np.testing.assert_array_equal(as_image(path, band=band).pixels, AMPLITUDE * 3)
-    with pytest.raises(InputError, match="2 bands go by 'VV', write more of the name"):
-        as_image(path, band="VV")
-    with pytest.raises(InputError, match="did you mean 'Sigma0_VH'"):
-        as_image(path, band="Sigma0_HH")
-    with pytest.raises(InputError, match="band 4 was asked for"):
-        RasterSource(str(path), band=4).checked()
-
-
-def test_pairs_of_i_and_q_are_told_by_their_names(tmp_path: Path) -> None:
-    parts = np.stack([COMPLEX.imag, COMPLEX.real, 2 * COMPLEX.real, 2 * COMPLEX.imag]).astype(np.int16)
-    path = write(tmp_path / "a.tif", parts, "GTiff", names=["q_VV", "i_VV", "i_VH", "q_VH"])
-    with pytest.raises(InputError, match="or 'iq' for complex samples"):
-        as_image(path)
-    with pytest.raises(InputError, match="2 pairs of I and Q, write iq:NAME"):
-        as_image(path, band="iq")
-    image = as_image(path, band="iq:VV")
-    np.testing.assert_array_equal(image.pixels, COMPLEX)
-    assert image.band == "iq:vv"
-    np.testing.assert_array_equal(as_image(path, band="iq:vh").pixels, 2 * COMPLEX)
-
-
-def test_colours_and_palettes_become_luminance(tmp_path: Path) -> None:
-    rgb = RNG.integers(0, 256, (3, H, W)).astype(np.uint8)
-    wanted = np.tensordot([0.299, 0.587, 0.114], rgb.astype(float), 1)
-    alpha = np.full((H, W), 255, np.uint8)
-    alpha[:9] = 0
-    path = write(tmp_path / "a.tif", np.stack([*rgb, alpha]), "GTiff", photometric="RGB", alpha="YES")
-    for image in (as_image(path), open_source(str(path)).read(Window(0, 0, W, H))):
-        np.testing.assert_array_equal(image.mask, alpha > 0)
-        np.testing.assert_allclose(image.pixels[image.mask], wanted[alpha > 0], atol=0.501)
-    np.testing.assert_array_equal(as_image(path, band="rgb").pixels, as_image(path).pixels)
-    np.testing.assert_array_equal(as_image(path, band=2).pixels[9:], rgb[1, 9:])
-    with rasterio.open(tmp_path / "p.png", "w", driver="PNG", height=H, width=W, count=1, dtype="uint8") as dataset:
-        dataset.write(BYTES, 1)
-        dataset.write_colormap(1, {i: (i, 255 - i, 7, 255 if i != 9 else 0) for i in range(256)})
-    image = as_image(tmp_path / "p.png")
-    palette = 0.299 * BYTES + 0.587 * (255.0 - BYTES) + 0.114 * 7
-    np.testing.assert_array_equal(image.mask, BYTES != 9)
-    np.testing.assert_allclose(image.pixels[image.mask], palette[BYTES != 9], atol=0.501)
-
-
-def test_a_pair_of_parts_is_asked_for_by_what_only_it_has(tmp_path: Path) -> None:
-    names = [f"{part}_IW{swath}_{name}" for swath in (1, 2) for name in ("VV", "VH") for part in "iq"]
-    bands = [Band(name, (H, W), "float32") for name in names]
-    for k in range(4):
-        choice = Choice("iq", (2 * k, 2 * k + 1))
-        asked = name_of(bands, choice)
-        assert choose(bands, asked, "a") == choice
-    assert name_of(bands[:4], Choice("iq", (0, 1))) == "iq:vv"
-    with pytest.raises(InputError, match="has no band '²'"):
-        choose(bands, "²", "a")
-
-
-@pytest.mark.parametrize("dtype", ["int16", "float32"])
-def test_parts_that_are_scaled_keep_their_holes(dtype: str, tmp_path: Path) -> None:
-    parts = np.stack([COMPLEX.real, COMPLEX.imag]).astype(dtype)
-    parts[:, :7] = -9999
-    path = write(tmp_path / "a.tif", parts, "GTiff", names=["i", "q"], nodata=-9999)
-    with rasterio.open(path, "r+") as dataset:
-        dataset.scales, dataset.offsets = (0.001, 0.001), (0.0, 0.0)
-    image = as_image(path, band="iq")
-    np.testing.assert_array_equal(image.mask[:, 0], np.arange(H) >= 7)
-    np.testing.assert_allclose(image.pixels[7:], COMPLEX[7:] * 0.001, rtol=1e-6)
-
-
-def test_the_scale_is_told_from_no_more_than_memory_holds() -> None:
-    read = []
-
-    def of(window: Window) -> Raster:
-        read.append(window.width * window.height)
-        return Raster(np.ones((4, 4), np.float32), "float32")
-
-    assert scale_by_strips((5, 10**12), of, None, lambda window: None, "a") == "amplitude"
-    assert sum(read) <= 5 * SAMPLE**2
-
-
-def test_a_product_that_names_files_outside_is_refused(tmp_path: Path) -> None:
-    root = safe(tmp_path)
-    write(tmp_path / "x.tiff", AMPLITUDE, "GTiff")
-    manifest = root / "manifest.safe"
-    manifest.write_text('<X><fileLocation href="measurement/../../x.tiff"/></X>')
-    with pytest.raises(InputError, match="outside the product"):
-        as_image(root)
-    shutil.copy(tmp_path / "x.tiff", root / "measurement" / "y.tiff")
-    manifest.write_text('<X><fileLocation href="measurement/y.tiff"/></X>')
-    assert as_image(root).shape == AMPLITUDE.shape
-    # The mask beside a measurement is opened with it.
-    (root / "measurement" / "y.tiff.msk").write_text(
-        f'<VRTDataset rasterXSize="{AMPLITUDE.shape[1]}" rasterYSize="{AMPLITUDE.shape[0]}"><VRTRasterBand band="1" '
-        f'dataType="Byte"><SimpleSource><SourceFilename>{tmp_path / "x.tiff"}</SourceFilename></SimpleSource>'
-        "</VRTRasterBand></VRTDataset>"
-    )
-    with pytest.raises(InputError, match="is not a file of a mask"):
-        as_image(root)
-    manifest.write_text('<X><fileLocation href="measurement/gone.tiff"/></X>')
-    with pytest.raises(InputError, match=r"names 1 measurements, and none is there, such as 'measurement/gone.tiff'"):
-        as_image(root)
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(InputError, match="directory without a product"):
-        as_image(tmp_path / "empty")
-
-
-def test_a_product_with_one_polarisation_only(tmp_path: Path) -> None:
-    root = safe(tmp_path)
-    next((root / "measurement").glob("*-vh-*")).unlink()
-    np.testing.assert_array_equal(as_image(root).pixels, AMPLITUDE.astype(np.uint16))
-    with pytest.raises(InputError, match="band 'VH'"):
-        as_image(root, band="VH")
-
-
-def test_a_safe_product_in_an_archive(tmp_path: Path) -> None:
-    root = safe(tmp_path)
-    with zipfile.ZipFile(tmp_path / "s.zip", "w") as file:
-        for path in root.rglob("*"):
-            file.write(path, path.relative_to(tmp_path))
-    np.testing.assert_array_equal(as_image(tmp_path / "s.zip", band="VV").pixels, AMPLITUDE.astype(np.uint16))
-    with pytest.raises(InputError, match=r"has 2 bands.*1 'VV' .*2 'VH'"):
-        as_image(tmp_path / "s.zip")
-
-
-def test_an_archive_of_several_images_lists_them(tmp_path: Path) -> None:
-    path = archive(tmp_path)
-    with zipfile.ZipFile(path, "a") as file:
-        file.write(tmp_path / "a.tif", "b.tif")
-    with pytest.raises(InputError, match=r"holds 2 images, name one as .*p.zip:NAME; in it: inside/a.tif, b.tif"):
-        as_image(path)
-    np.testing.assert_array_equal(as_image(f"{path}:b.tif").pixels, AMPLITUDE)
-
-
-def test_a_header_that_states_more_than_its_bytes_hold(tmp_path: Path) -> None:
-    profile = {"driver": "GTiff", "height": 40_000, "width": 40_000, "count": 1, "dtype": "uint16", "tiled": True}
-    with rasterio.open(tmp_path / "a.tif", "w", sparse_ok=True, **profile):
-        pass
-    with pytest.raises(InputError, match=r"states 40000 x 40000 pixels \(3.2 GB\)"):
-        as_image(tmp_path / "a.tif")
-    assert open_source(tmp_path / "a.tif").read(Window(20_000, 20_000, 600, 600)).shape == (600, 600)
-
-
-def test_rpc_that_cannot_be_read_are_named_and_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    path = write(tmp_path / "a.tif", BYTES, "GTiff")
-    names = [f"{axis}_{part}_COEFF" for axis in ("LINE", "SAMP") for part in ("NUM", "DEN")]
-    held = dict.fromkeys(names, " ".join(["1"] * 20))
-    held |= {f"{n}_{w}": "1" for n in ("LINE", "SAMP", "LAT", "LONG", "HEIGHT") for w in ("OFF", "SCALE")}
-    held["LINE_OFF"] = "no number"
-    items = "".join(f'<MDI key="{key}">{value}</MDI>' for key, value in held.items())
-    (tmp_path / "a.tif.aux.xml").write_text(f'<PAMDataset><Metadata domain="RPC">{items}</Metadata></PAMDataset>')
-    image = as_image(path)
-    assert "RPC coefficients cannot be read" in caplog.text
-    assert image.geolocation is not None
-    assert image.geolocation.rpcs is None
-
-
-def test_a_codec_that_is_not_built_in_is_named(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.tif", BYTES, "GTiff", compress="lzw")
-    content = path.read_bytes()
-    # Tag 259, a short, once; 34712 is a JPEG 2000 codec of Leadtools that no build of GDAL has.
-    at = content.index(b"\x03\x01\x03\x00\x01\x00\x00\x00")
-    path.write_bytes(content[: at + 8] + (34712).to_bytes(2, "little") + content[at + 10 :])
-    with pytest.raises(InputError, match=r"compressed in a way that the library installed here cannot read"):
-        as_image(path)
-
-
-def test_negative_intensities_are_very_dark_data(tmp_path: Path) -> None:
-    noisy = (AMPLITUDE**2).astype(np.float32)
-    noisy[::7, ::5] *= -0.01
-    path = write(tmp_path / "a.tif", noisy, "GTiff")
-    for image in (as_image(path, scale="intensity"), open_source(path, scale="intensity").read(Window(0, 0, W, H))):
-        assert image.mask.all()
-        np.testing.assert_allclose(image.pixels, np.sqrt(np.maximum(noisy, 0)), rtol=1e-6)
-
-
-def test_linear_samples_with_negatives_are_told_from_decibels(tmp_path: Path) -> None:
-    sigma0 = RNG.gamma(1.0, 0.08, (H, W)).astype(np.float32) - 0.004
-    assert 0.03 < (sigma0 < 0).mean() < 0.08
-    assert as_image(write(tmp_path / "a.tif", sigma0, "GTiff")).scale == "intensity"
-    assert as_image(write(tmp_path / "b.tif", sigma0, "GTiff", names=["Sigma0_VV"])).scale == "intensity"
-    db = (10 * np.log10(np.maximum(sigma0, 1e-4))).astype(np.float32)
-    assert as_image(write(tmp_path / "c.tif", db, "GTiff")).scale == "db"
-    assert as_image(write(tmp_path / "d.tif", db, "GTiff", names=["sigma0"])).scale == "db"
-    bright = write(tmp_path / "e.tif", db - db.min(), "GTiff", names=["VV_dB"])
-    assert as_image(bright).scale == open_source(bright).known_scale == "db"
-
-
-@pytest.mark.parametrize(
-    ("standard", "text"),
-    [("urn:SICD:0.5.0", r"is a SICD of version 0.5.0, and 1.1.0, .* are read"), ("urn:SIDD:3.0.0", "")],
-)
-def test_standards_of_nitf_are_named(standard: str, text: str, tmp_path: Path) -> None:
-    pytest.importorskip("sarkit")
-    path = write(tmp_path / "a.ntf", BYTES, "NITF", False)
-    with path.open("ab") as file:
-        file.write(f'<X xmlns="{standard}"/>'.encode())
-    if text:
-        with pytest.raises(InputError, match=text):
-            as_image(path)
-    else:
-        np.testing.assert_array_equal(as_image(path).pixels, BYTES)

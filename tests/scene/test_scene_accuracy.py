@@ -23,8 +23,7 @@ from featreg.scene.blocks import halo_of
 from featreg.scene.merge import Merged, _together, block_errors
 from featreg.simulate.scene import simulate_scene
 from featreg.types import Image, Matches
-
-BLOCK: dict[str, Any] = {"block": 200, "workers": 1}
+from made.scene_results import BLOCK
 
 
 class Blind(Matcher):

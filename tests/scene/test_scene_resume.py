@@ -18,8 +18,8 @@ import pytest
 
 import featreg
 from featreg.results.registration import Registration
+from made.scene_results import BLOCK
 
-BLOCK: dict[str, Any] = {"block": 200, "workers": 1}
 COMMAND = [sys.executable, "-m", "featreg", "match"]
 
 
