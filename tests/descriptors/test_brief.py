@@ -100,6 +100,17 @@ def test_mixed_angles_are_each_their_own(sar_texture: Texture) -> None:
         np.testing.assert_array_equal(bits(together)[i], bits(describe(picture, at(xy[i : i + 1], angle=angle)))[0])
 
 
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 8])
+def test_points_of_one_turn_have_the_bits_of_each_alone(sar_texture: Texture, count: int) -> None:
+    """They are compared three at a time; what is left over, and where a turn ends, one by one."""
+    picture, points = as_image(sar_texture()), inner_points((200, 220), count)
+    angles = np.where(np.argsort(points[:, 1]).argsort() < 5, 0.5, 2.0)
+    together = describe(picture, at(points, angle=angles))
+    for number in range(count):
+        alone = describe(picture, at(points[number : number + 1], angle=angles[number]))
+        assert (bits(alone)[0] == bits(together)[number]).all()
+
+
 @pytest.mark.parametrize("level", [0, 1, 3])
 def test_the_scale_chooses_the_level(sar_texture: Texture, level: int) -> None:
     picture = as_image(sar_texture(300, 300))

@@ -44,24 +44,60 @@ def describe_level(
         last[y] = i
     steps = np.empty((table.shape[0], 2 * count), np.int32)
     known = np.zeros(table.shape[0], np.bool_)
+    listed, found = np.empty(xy.shape[0] + 2, np.int64), 0
     for row in range(height):
         point = np.int64(last[row])
         while point >= 0:
-            turn = turns[point]
-            own = steps[turn]
-            if not known[turn]:
-                known[turn] = True
-                _fill_steps(table[turn, 0], table[turn, 1], table[turn, 2], table[turn, 3], width, own)
-            middle = np.uint64(at[point])
-            for word in range(count // 64):
-                value = np.uint64(0)
-                for b in range(64):
-                    k = np.uint64(64 * word + 63 - b)
-                    first = flat[middle + np.uint64(own[k])]
-                    second = flat[middle + np.uint64(own[k + np.uint64(count)])]
-                    value = value + value + np.uint64(first < second)
-                bits[point, word] = value
+            listed[found] = point
+            found += 1
             point = np.int64(before[point])
+    listed[found : found + 2] = -1
+    done = 0
+    while done < found:
+        i, j, k = listed[done], listed[done + 1], listed[done + 2]
+        turn = turns[i]
+        own = steps[turn]
+        if not known[turn]:
+            known[turn] = True
+            _fill_steps(table[turn, 0], table[turn, 1], table[turn, 2], table[turn, 3], width, own)
+        # Points of one turn share the look-up of their offsets.
+        if j >= 0 and k >= 0 and turns[j] == turn and turns[k] == turn:
+            _compare_three(flat, own, at[i], at[j], at[k], bits[i], bits[j], bits[k])
+            done += 3
+        else:
+            _compare_samples(flat, own, at[i], bits[i])
+            done += 1
+
+
+@compiled
+def _compare_samples(flat: U8, steps: NDArray[np.int32], at: int, bits: U64) -> None:
+    """Write the comparisons around a pixel, by the offsets of the first samples and of the second ones."""
+    middle, count = np.uint64(at), np.uint64(64 * bits.shape[0])
+    for word in range(bits.shape[0]):
+        value = np.uint64(0)
+        for b in range(64):
+            n = np.uint64(64 * word + 63 - b)
+            first, second = np.uint64(steps[n]), np.uint64(steps[n + count])
+            value = value + value + np.uint64(flat[middle + first] < flat[middle + second])
+        bits[word] = value
+
+
+@compiled
+def _compare_three(
+    flat: U8, steps: NDArray[np.int32], at0: int, at1: int, at2: int, bits0: U64, bits1: U64, bits2: U64
+) -> None:
+    """`_compare_samples` of three pixels: as many as the processor's registers hold."""
+    m0, m1, m2 = np.uint64(at0), np.uint64(at1), np.uint64(at2)
+    count = np.uint64(64 * bits0.shape[0])
+    for word in range(bits0.shape[0]):
+        v0 = v1 = v2 = np.uint64(0)
+        for b in range(64):
+            n = np.uint64(64 * word + 63 - b)
+            first, second = np.uint64(steps[n]), np.uint64(steps[n + count])
+            v0 = v0 + v0 + np.uint64(flat[m0 + first] < flat[m0 + second])
+            v1 = v1 + v1 + np.uint64(flat[m1 + first] < flat[m1 + second])
+            v2 = v2 + v2 + np.uint64(flat[m2 + first] < flat[m2 + second])
+        bits0[word], bits1[word], bits2[word] = v0, v1, v2
 
 
 @disjoint
