@@ -17,7 +17,7 @@ import numpy as np
 from featreg.errors import ParameterError
 from featreg.geometry import as_model
 from featreg.interfaces import Matcher, Model
-from featreg.io import ImageLike, as_image
+from featreg.io import ImageLike
 from featreg.io.bands import BandLike, check_band
 from featreg.io.calibration import check_calibration
 from featreg.io.images import small_image
@@ -48,6 +48,10 @@ if TYPE_CHECKING:
 MOST_PIXELS = 4_000_000
 #: In blocks, of a side that suits the scene.
 SUITABLE = -1
+FOCUS_IN_BLOCKS = (
+    "focus works on whole images, not on blocks: focus the files first (featreg focus IN -o OUT), or ask for the whole "
+    "images at once (block=False, --whole)"
+)
 #: What may be said of the geolocation as prior, and how far, px, around the model of an earlier result is searched.
 PRIORS, PRIOR_PX = ("none", "geolocation"), 35.0
 
@@ -188,10 +192,7 @@ def match(
     first, second = images
     if first is None or second is None:
         if focus is not None:
-            raise ParameterError(
-                "focus works on whole images, not on blocks: focus the files first (featreg focus IN -o OUT), or ask "
-                "for the whole images at once (block=False, --whole)"
-            )
+            raise ParameterError(FOCUS_IN_BLOCKS)
         from featreg.scene.run import SceneOptions, match_scene
         from featreg.scene.samples import sampled
 
@@ -250,15 +251,14 @@ def keypoints_of(
     """(N, 2) keypoints that a method looks at in an image, at most its budget; None where it has no detector.
 
     `mask` and `band` are those of this image; the other keywords are those of `match` that build the pipeline. An image
-    that is so large that it is worked on in blocks, or for which blocks are asked, is looked at block by block.
+    that is so large that it is worked on in blocks, or for which blocks are asked, is looked at block by block; `focus`
+    is an error there, as it is in `match`.
     """
     size = block_side(block, None, None, None, split)
     reading: Any = {"nodata": nodata, "scale": scale, "calibrate": calibrate, "mask": mask, "band": band}
-    whole: Image | None
-    if focus is not None:
-        whole = as_image(image, **reading)
-    else:
-        whole = None if size else small_image(image, MOST_PIXELS if size is None else math.inf, **reading)
+    whole = None if size else small_image(image, MOST_PIXELS if size is None else math.inf, **reading)
+    if whole is None and focus is not None:
+        raise ParameterError(FOCUS_IN_BLOCKS)
     pipelines = assemble_all(**keywords, blocks=whole is None or None)
     matcher = pipelines[0].matcher
     if len(pipelines) > 1 or not isinstance(matcher, FeatureMatcher):

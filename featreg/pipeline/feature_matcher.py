@@ -48,9 +48,9 @@ class FeatureMatcher(Matcher):
     detector, descriptor, nearest : the parts; `descriptor` may be None where the detector describes at once
     n_features : at most so many features of each image are used, those of the highest score
     common_rotation : look for one rotation between the images and describe all features of each image in one direction
-    pixels_per_feature : where the smaller of the images has more valid pixels than so many for each of `n_features`,
-        features are found in images reduced to about so many, at most to half of their sides and to no side, or strip
-        of valid pixels, of less than 64 pixels; 0 never reduces them
+    pixels_per_feature : where the smaller of the images has more valid pixels than so many for each of `n_features`, or
+        of the detector's where that is less, features are found in images reduced to about so many, at most to half of
+        their sides and to no side, or strip of valid pixels, of less than 64 pixels; 0 never reduces them
 
     Notes
     -----
@@ -118,7 +118,9 @@ class FeatureMatcher(Matcher):
 
     def _share(self, *images: Image) -> float:
         """The share of their sides at which features are found in images."""
-        wanted = self.pixels_per_feature * self.n_features
+        # A detector may have a smaller budget of its own.
+        own = getattr(self.detector, "n_features", getattr(self.detector, "parameters", {}).get("n_features"))
+        wanted = self.pixels_per_feature * min(self.n_features, own or self.n_features)
         pixels = min(image.valid_count for image in images) if wanted else 0
         if not pixels:
             return 1.0

@@ -191,3 +191,16 @@ def test_a_strip_in_a_frame_gives_as_many_matches_as_alone(sar_texture: Texture,
 def test_what_another_plugin_tells_without_radii_is_said_too() -> None:
     image = {"share": 1.0, "radii_px": [20.0], "left_out_px": {"detector.skip": []}}
     assert "without those of no radius" in searched_words({"searched": [{"reference": image, "secondary": image}]})
+
+
+@pytest.mark.parametrize("method", ["rift", "orb"])
+def test_images_are_reduced_for_as_many_features_as_the_detector_gives(turned_pair: SimulatedPair, method: str) -> None:
+    whole: dict[str, Any] = {"method": method, "refine": False, "pixels_per_feature": 300.0}
+    budgets: list[dict[str, Any]] = [
+        {"n_features": 200}, {"n_features": 2000, "detector.n_features": 200}, {"n_features": 2000},
+    ]  # fmt: skip
+    shares = [
+        searched(featreg.match(turned_pair.reference, turned_pair.secondary, **whole, **budget))["reference"]["share"]
+        for budget in budgets
+    ]
+    assert shares[0] == shares[1] < shares[2] == 1

@@ -7,8 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 import featreg
+from featreg.errors import ParameterError
 from featreg.matching import keypoints_of
 from featreg.simulate import SimulatedPair
 from featreg.study.prediction_cache import AFTERWARDS, PredictionCache, _modules, core_files
@@ -80,3 +82,7 @@ def test_keypoints_of_focused_images_are_those_after_focusing(pair: SimulatedPai
     wanted = keypoints_of(moved, method="orb", n_features=40)
     assert found is not None
     np.testing.assert_array_equal(found, wanted)
+    in_blocks: list[dict[str, Any]] = [{"block": 200}, {"block": True}, {"split": "proportional"}]
+    for asked in in_blocks:
+        with pytest.raises(ParameterError, match="focus works on whole images, not on blocks"):
+            keypoints_of(image, method="orb", n_features=40, focus=focused, **asked)
