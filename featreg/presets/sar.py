@@ -148,7 +148,7 @@ SAR: Mapping[str, Preset] = {
         pixels_per_feature=_PIXELS,
     ),
     "s-gof-paper": Preset(
-        "SIFT keypoints, all of them, odd-Gabor ratio descriptors of one scale, after Paul and Pati 2019, RANSAC",
+        "All SIFT keypoints, odd-Gabor ratios of one scale, after Paul and Pati 2019, ratio of 0.85 (ours), RANSAC",
         detector=Part("sift"),
         descriptor=Part("gabor-odd", _PAPER_GABOR),
         nearest=Part("brute-force", {"mutual": False, "ratio": 0.85}),
@@ -165,7 +165,7 @@ SAR: Mapping[str, Preset] = {
         pixels_per_feature=_PIXELS,
     ),
     "m-gof-paper": Preset(
-        "SIFT keypoints, all of them, odd-Gabor ratio descriptors of four scales, after Paul and Pati 2019, RANSAC",
+        "All SIFT keypoints, odd-Gabor ratios of four scales, after Paul and Pati 2019, ratio of 0.85 (ours), RANSAC",
         detector=Part("sift"),
         descriptor=Part("gabor-odd", {**_MULTI_SCALE, **_PAPER_GABOR}),
         nearest=Part("brute-force", {"mutual": False, "ratio": 0.85}),
