@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import sys
 import threading
+import time
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
@@ -45,7 +46,14 @@ FOR_SUFFIX = (
     *("_RPC.TXT", "_rpc.txt", ".RPB", ".rpb", ".rdc", ".sgrd", ".gri"),
 )
 
+#: How long ago a folder must have changed for its time to tell of every later change: the coarsest clock of a disk.
+SETTLED_NS = 2_000_000_000
+#: Images of which it is remembered what lies beside them.
+MOST_SEEN = 256
+
 _local = threading.local()
+#: Image -> the time of its folder, and what lay beside it then.
+_seen_beside: dict[str, tuple[int, tuple[str, ...]]] = {}
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,6 +135,15 @@ def _beside(path: str) -> tuple[tuple[str, int, int], ...]:
     worlds = (f".{letters[:1]}{letters[-1:]}w", f".{letters}w") if letters else ()
     names = [path + end for end in AFTER_NAME]
     names += [stem + end for end in (*FOR_SUFFIX, *worlds, *(world.upper() for world in worlds))]
+    began = time.time_ns()
+    try:
+        changed = os.stat(os.path.dirname(path) or ".").st_mtime_ns
+    except (OSError, ValueError):
+        changed = began
+    # A folder has its time changed where a file in it comes, goes or gets another name.
+    seen = _seen_beside.get(path)
+    if seen is not None and seen[0] == changed:
+        names = list(seen[1])
     found = []
     for name in names:
         try:
@@ -134,6 +151,10 @@ def _beside(path: str) -> tuple[tuple[str, int, int], ...]:
         except (OSError, ValueError):
             continue
         found.append((name, known.st_size, known.st_mtime_ns))
+    if began - changed > SETTLED_NS:
+        _seen_beside[path] = changed, tuple(name for name, _, _ in found)
+        while len(_seen_beside) > MOST_SEEN:
+            _seen_beside.pop(next(iter(_seen_beside)), None)
     return tuple(found)
 
 

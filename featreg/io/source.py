@@ -81,13 +81,20 @@ def overview_of(source: Source, factor: int) -> Image:
     height, width = source.shape[0] // factor, source.shape[1] // factor
     if height < 1 or width < 1:
         raise ParameterError(f"{source.name}: an overview of 1 / {factor} of {source.shape} has no pixel")
+    import cv2
+
     pixels, mask = np.empty((height, width), np.float32), np.empty((height, width), np.bool_)
     step = max(1, 512 // factor)
     for top in range(0, height, step):
         rows = min(step, height - top)
         strip = source.read(Window(0, top * factor, width * factor, rows * factor))
-        cells = (strip.amplitude**2).reshape(rows, factor, width, factor).mean(axis=(1, 3))
-        share = strip.mask.reshape(rows, factor, width, factor).mean(axis=(1, 3))
+        size = (width, rows)
+        cells = cv2.resize(np.square(strip.amplitude), size, interpolation=cv2.INTER_AREA)
+        if strip.all_valid:
+            np.sqrt(cells, out=pixels[top : top + rows])
+            mask[top : top + rows] = True
+            continue
+        share = cv2.resize(strip.mask.astype(np.float32), size, interpolation=cv2.INTER_AREA)
         good = share > 0.5
         pixels[top : top + rows] = np.sqrt(np.divide(cells, share, out=np.zeros_like(cells), where=good))
         mask[top : top + rows] = good

@@ -17,6 +17,7 @@ from featreg.errors import CancelledError, InputError, NoOverlapError, Parameter
 from featreg.geolocation import ConstantHeight, DemHeights, Heights, RpcBias, Transfer, ground_level, sensor_of
 from featreg.geometry import Affine
 from featreg.interfaces import Matcher, Model
+from featreg.io.raster_files import unchanged
 from featreg.io.raster_source import Source
 from featreg.io.window import Window
 from featreg.pipeline.frame import beyond, linear_at
@@ -137,7 +138,7 @@ def match_scene(
             executor = stack.enter_context(open_executor(options.executor, options.workers))
             shared = shareable(reference, secondary, executor, stack)
             pipeline = _bound(pipeline, reference, secondary, heights)
-            with cancellable(options.cancel), stage("prior"):
+            with cancellable(options.cancel), stage("prior"), unchanged():
                 found = first_prior(
                     pipeline, reference, secondary, heights, seed, initial, search_radius, options.prior
                 )

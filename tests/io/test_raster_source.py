@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import pickle
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -15,7 +16,7 @@ import pytest
 from numpy.typing import NDArray
 
 from featreg.errors import InputError, ParameterError
-from featreg.io import as_image
+from featreg.io import as_image, raster_files
 from featreg.io.images import small_image
 from featreg.io.raster_source import ImageSource, RasterSource, Window, open_source
 from made.rasters import write_raster
@@ -172,6 +173,25 @@ def test_an_overview_averages_intensity_over_valid_pixels(tmp_path: Path) -> Non
     np.testing.assert_allclose(overview.pixels[overview.mask], np.sqrt((9 + 25) / 2), rtol=1e-6)
 
 
+@pytest.mark.parametrize("hole", [False, True])
+@pytest.mark.parametrize("factor", [1, 3, 4, 7])
+def test_an_overview_is_the_root_of_the_mean_square(factor: int, hole: bool) -> None:
+    array = amplitude()
+    array[40:90, 60:120] = np.nan if hole else 1.0
+    image = as_image(array)
+    rows, cols = (n // factor for n in SHAPE)
+    cut = (slice(0, rows * factor), slice(0, cols * factor))
+    square, good = (
+        part[cut].reshape(rows, factor, cols, factor).sum(axis=(1, 3))
+        for part in (np.where(image.mask, image.pixels, 0).astype(np.float64) ** 2, image.mask)
+    )
+    enough = good > factor**2 / 2
+    overview = ImageSource(image).overview(factor)
+    np.testing.assert_array_equal(overview.mask, enough)
+    wanted = np.sqrt(np.where(enough, square / np.maximum(good, 1), 0))
+    np.testing.assert_allclose(overview.pixels, wanted, rtol=2e-6)
+
+
 def test_neighbouring_windows_share_no_point_and_lose_none() -> None:
     xy = np.random.default_rng(3).uniform(-0.5, 39.5, (500, 2))
     xy[:4] = [[19.5, 5], [19.499999, 5], [5, 19.5], [-0.5, -0.5]]
@@ -291,6 +311,43 @@ def test_what_lies_beside_a_file_is_seen_when_it_changes(tmp_path: Path) -> None
     np.testing.assert_array_equal(bare.read(whole).pixels, samples)
     (tmp_path / "b.hdr").write_text(header.format("M"))
     np.testing.assert_array_equal(bare.read(whole).pixels, samples.byteswap())
+
+
+def test_what_is_not_beside_a_file_is_not_looked_for_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Thirty names a window, which a disk of a network answers one by one; a folder tells whether a file came."""
+    path = write_raster(tmp_path / "a.tif", amplitude())
+    settled = path.stat().st_mtime_ns - 10 * raster_files.SETTLED_NS
+    os.utime(tmp_path, ns=(settled, settled))
+    counts = []
+    plain = os.stat
+    with monkeypatch.context() as patch:
+        for _ in range(2):
+            asked: list[Any] = []
+            patch.setattr(os, "stat", lambda *a, asked=asked, **k: (asked.append(a), plain(*a, **k))[1])
+            stamp = raster_files.stamp_of(str(path))
+            counts.append(len(asked))
+    assert counts[0] > 25
+    assert counts[1] <= 3
+    (tmp_path / "a.tfw").write_text("1\n0\n0\n-1\n0\n0\n")
+    with_world = raster_files.stamp_of(str(path))
+    assert with_world != stamp
+    os.utime(tmp_path, ns=(settled, settled))
+    assert raster_files.stamp_of(str(path)) == stamp  # as the folder says, which nobody else sets back
+    (tmp_path / "a.hdr").write_text("one")
+    once = raster_files.stamp_of(str(path))
+    (tmp_path / "a.hdr").write_text("other")
+    assert len({stamp, with_world, once, raster_files.stamp_of(str(path))}) == 4
+
+
+def test_a_folder_that_has_just_changed_is_looked_at_again(tmp_path: Path) -> None:
+    """Its time may be that of a change still to come, as coarse as the clocks of disks are."""
+    path = write_raster(tmp_path / "a.tif", amplitude())
+    now = time.time_ns()
+    os.utime(tmp_path, ns=(now, now))
+    before = raster_files.stamp_of(str(path))
+    (tmp_path / "a.tfw").write_text("1\n0\n0\n-1\n0\n0\n")
+    os.utime(tmp_path, ns=(now, now))
+    assert raster_files.stamp_of(str(path)) != before
 
 
 def test_a_palette_beside_a_scene_tells_it_from_another(tmp_path: Path) -> None:
