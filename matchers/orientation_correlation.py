@@ -29,6 +29,7 @@ from featreg.sar.orientation.pieces import (
     settled,
     shared_part,
 )
+from featreg.sar.orientation.precision import peak_covariances
 from featreg.sar.orientation.scales import with_coarser
 from featreg.sar.orientation.search import Alignment, Correlator, Grid, scale_steps, search
 from featreg.sar.orientation.verification import DECIDED, Verified, near, verified
@@ -48,8 +49,6 @@ LEAST_AFFINE, LEAST_SIMILAR = 24, 6
 SURE = 9.0
 #: Errors of windows below this are not told apart, samples.
 SCALE = 0.3
-#: An independent sample of a field for so many alpha^2 samples, as the errors on simulated pairs have it.
-CORRELATED = 3.5
 
 
 @register("orientation-correlation")
@@ -91,8 +90,8 @@ class OrientationCorrelation(Matcher):
     (`featreg.sar.orientation.scales`). Pixels that stand alike in both images while their surroundings disagree do not
     vote.
 
-    The covariance of a tie point is (1 - rho^2) / (n rho) times the inverse curvature of its peak of height rho, n the
-    number of independent samples in the window.
+    The covariance of a tie point is that of its window's peak, rival peaks counted
+    (`featreg.sar.orientation.precision`).
 
     References
     ----------
@@ -236,14 +235,12 @@ class OrientationCorrelation(Matcher):
         return max(least, math.ceil(math.sqrt(np.count_nonzero(level.valid) / self.most)))
 
     def _matches(self, level: Level, found: Surfaces, seen: Peaks) -> Matches:
-        good = np.flatnonzero(seen.sound & (seen.height > 0))
+        sound: BoolArray = seen.sound & (seen.height > 0)
+        good = np.flatnonzero(sound)
         height = seen.height[good]
         here = level.reference_xy(found.xy[good])
         there = level.secondary_xy(found.xy[good] + seen.shift[good])
-        covariance = np.linalg.inv(seen.curvature[good])
-        covariance *= (np.maximum(1 - height**2, 1e-6) * CORRELATED * self.alpha**2 / (height * found.samples[good]))[
-            :, None, None
-        ]
+        covariance = peak_covariances(found.parts, found.xy[good], found.values[good], seen.take(sound))
         onto = level.affine[:, :2] / level.factor
         return Matches(here, there, height, onto @ covariance @ onto.T)
 

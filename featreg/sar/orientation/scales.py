@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from featreg.sar.orientation.levels import Level, aligned
+from featreg.sar.orientation.precision import Part
 from featreg.sar.orientation.windows import Surfaces, correlated_around
 from featreg.sar.speckle import unlike
 from featreg.types import Image
@@ -53,7 +54,29 @@ def with_coarser(
     if not _common(values) > DROWNED * common:
         return found
     both = (found.values + np.float32(WEIGHT) * finer(values, found.reach)) / np.float32(1 + WEIGHT)
-    return replace(found, values=np.asarray(both, np.float32), side=HALF * found.side)
+    parts = (
+        *(replace(part, weight=1 / (1 + WEIGHT)) for part in found.parts),
+        Part(*_on_grid_of(level, coarse), HALF * found.side, WEIGHT / (1 + WEIGHT)),
+    )
+    return replace(found, values=np.asarray(both, np.float32), side=HALF * found.side, parts=parts)
+
+
+def _on_grid_of(level: Level, coarse: Level) -> tuple[F32, F32]:
+    """Both fields of a coarser level at the samples of a finer one."""
+    import cv2
+
+    onto = np.linalg.solve(coarse.to_reference, level.to_reference)[:2]
+    here, there = (
+        np.asarray(
+            cv2.warpAffine(
+                field, onto, level.valid.shape[::-1], flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP,
+                borderMode=cv2.BORDER_CONSTANT,
+            ),
+            np.float32,
+        )
+        for field in (coarse.here, coarse.there)
+    )  # fmt: skip
+    return here, there
 
 
 def _common(values: F32) -> float:

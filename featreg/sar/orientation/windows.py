@@ -10,6 +10,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from featreg.sar.orientation.levels import Level
+from featreg.sar.orientation.precision import Part
 from featreg.types import FloatArray, IntArray
 
 F32 = NDArray[np.float32]
@@ -33,12 +34,14 @@ class Surfaces:
         second field displaced by (dx, dy)
     samples : (N,) float64 samples of a window that both images hold
     side : samples along a window
+    parts : the fields that were correlated
     """
 
     xy: FloatArray
     values: F32
     samples: FloatArray
     side: int
+    parts: tuple[Part, ...] = ()
 
     def __len__(self) -> int:
         return len(self.xy)
@@ -79,7 +82,8 @@ def correlated(level: Level, side: int, reach: int, step: int | None = None, mos
     if most is not None and len(kept) > most:
         kept = kept[np.arange(most) * len(kept) // most]
     at, samples = at[kept], samples[kept]
-    return Surfaces(at[:, ::-1] + (side - 1) / 2, _values(level, at, side, reach), samples.astype(np.float64), side)
+    values, middles = _values(level, at, side, reach), at[:, ::-1] + (side - 1) / 2
+    return Surfaces(middles, values, samples.astype(np.float64), side, (Part(level.here, level.there, side),))
 
 
 def correlated_around(level: Level, reference_xy: FloatArray, side: int, reach: int) -> F32:
