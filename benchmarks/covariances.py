@@ -170,7 +170,7 @@ def main() -> None:
             for one, other, truth in pairs(scene, looks, args.pairs, args.side, args.seed):
                 for window in args.windows.split(",") if "sar-dense" in args.methods else ():
                     watched = Watched()
-                    precision._local = watched  # type: ignore[assignment]
+                    precision._local = watched
                     matcher = create("matcher", "orientation-correlation", window=int(window))
                     found = matcher.match(as_image(one, nodata=0), as_image(other, nodata=0))
                     precision._local = watched.local

@@ -62,6 +62,11 @@ class Locate:
     least_peak: Annotated[float, Interval(gt=0, lt=1)] = 0.35
 
     @property
+    def side(self) -> int:
+        """Of the windows, px."""
+        return 2 * self.half_width + 1
+
+    @property
     def reach(self) -> int:
         """How far from a match pixels are looked at, px."""
         return self.half_width + self.most_moved + 3

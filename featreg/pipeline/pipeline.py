@@ -173,7 +173,7 @@ class Pipeline:
                     if draft.model:
                         kept = self.to_locate(draft.stages, len(matches))
                         at = self.locate.run(reference, secondary, draft.model, matches, np.flatnonzero(kept))
-                    draft = located(draft, at, self.n_features)
+                    draft = located(draft, at, self.n_features, self.locate.side)
             steps.advance()
             useful = None
             if self.refine is not None:

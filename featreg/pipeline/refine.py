@@ -11,6 +11,7 @@ import numpy as np
 from annotated_types import Ge, Gt, Interval
 from numpy.typing import NDArray
 
+from featreg.geometry.overlapping import share_taken_up
 from featreg.geometry.robust import irls
 from featreg.interfaces import FailedFit, Model
 from featreg.pipeline.aligned import (
@@ -97,7 +98,7 @@ class Refine:
     different places of the same two images tell. Points are those of the matches, filled up to the budget by the
     strongest gradient of each cell of a regular grid, so that the tie points spread over the image. The covariance of a
     tie point is (1 - rho^2) times the inverse curvature of its peak, times one variance factor for all, estimated
-    from the residuals.
+    from the residuals and what the fit to overlapping windows takes of them (`featreg.geometry.overlapping`).
     """
 
     half: Annotated[int, Ge(4)] = 24
@@ -154,7 +155,8 @@ class Refine:
         here_xy, there_xy = here_xy[keep], there_xy[keep]
         found = fine.take(keep)
         covariance = peak_covariance(found, first, here_xy)
-        covariance *= variance_factor(there_xy - final(here_xy), covariance)
+        lost = share_taken_up(final, here_xy, there_xy, 2 * self.half + 1)
+        covariance *= variance_factor(there_xy - final(here_xy), covariance) / (1 - lost)
         refined = Matches(here_xy, there_xy, found.height, covariance, origin[keep])
         return Refined(refined, final, len(seeds), correlated, measured)
 

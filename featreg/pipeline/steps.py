@@ -13,6 +13,7 @@ from itertools import takewhile
 import numpy as np
 
 from featreg.geometry import inverse_variances
+from featreg.geometry.overlapping import share_taken_up
 from featreg.geometry.robust import irls
 from featreg.interfaces import FailedFit, Filter, FilterContext, Model
 from featreg.pipeline.aligned import variance_factor
@@ -137,7 +138,7 @@ def before_global(stages: Mapping[str, BoolArray], global_names: Collection[str]
     return survivors(dict(takewhile(lambda item: item[0] not in global_names, stages.items())), count)
 
 
-def located(draft: Draft, found: Matches, n_features: int) -> Draft:
+def located(draft: Draft, found: Matches, n_features: int, side: int = 1) -> Draft:
     """Append matches at their measured positions as the stage "locate", and fit the consensus again on them.
 
     Parameters
@@ -145,6 +146,7 @@ def located(draft: Draft, found: Matches, n_features: int) -> Draft:
     draft : with the consensus in whose frame was measured, or none
     found : located matches, whose `origin` names rows of the draft's; right and wrong ones
     n_features : most inliers, best first
+    side : of the windows by which was measured, px
 
     Notes
     -----
@@ -170,6 +172,7 @@ def located(draft: Draft, found: Matches, n_features: int) -> Draft:
     if covariance is not None:
         off = there.take(used, axis=0) - refit(here.take(used, axis=0))
         factor = variance_factor(off, covariance.take(used, axis=0))
+        factor /= 1 - share_taken_up(refit, here.take(used, axis=0), there.take(used, axis=0), side)
         found = replace(found, covariance=covariance * factor)
     draft = _appended(draft, "locate", found)
     rows = used[np.argsort(-found.score[used], kind="stable")]

@@ -383,7 +383,8 @@ def _finished(
     draft = draft.without_model(block_words(table["status"], table["reason"]))
     if pipeline.locate is not None:
         with stage("locate"):
-            draft = located(draft, merged.located if draft.model else Matches.empty(), pipeline.n_features)
+            measured = merged.located if draft.model else Matches.empty()
+            draft = located(draft, measured, pipeline.n_features, pipeline.locate.side)
         owners = np.concatenate([owners, merged.located_blocks])[: len(draft.matches)]
     if pipeline.refine is not None:
         with stage("refine"):

@@ -12,6 +12,8 @@ I64 = NDArray[np.int64]
 
 #: Sums of a piece of `slopes_of_windows`.
 SUMS = 5
+#: The next sample of a row, and the one after it, in values; unsigned, so that nothing looks for negative places.
+NEXT, AFTER = np.uint64(2), np.uint64(4)
 
 
 @compiled
@@ -30,29 +32,32 @@ def _copied(flat: F32, height: int, width: int, y: int, x: int, panel: F32) -> N
 @disjoint
 def _columns(up: F32, middle: F32, down: F32, total: F32, slope: F32, bend: F32) -> None:
     """Sum, difference and second difference of three rows."""
-    for i in range(total.shape[0]):
+    for i in range(np.uint64(total.shape[0])):
         total[i] = up[i] + middle[i] + down[i]
         slope[i] = down[i] - up[i]
         bend[i] = up[i] + down[i] - np.float32(2) * middle[i]
 
 
 @disjoint
-def _terms(
-    a: F32, ta: F32, sa: F32, ca: F32, b: F32, tb: F32, sb: F32, cb: F32, gx: F32, gy: F32, xx: F32, xy: F32, yy: F32
-) -> None:
-    """Slopes and curvatures of each value of a row, from the column sums of both fields; the first two values are rim.
+def _added(
+    a: F32, ta: F32, sa: F32, ca: F32, b: F32, tb: F32, sb: F32, cb: F32,
+    gx: F32, gy: F32, xx: F32, xy: F32, yy: F32, aa: F32, bb: F32,
+) -> None:  # fmt: skip
+    """Add slopes, curvatures and squares of each value of a row, from the column sums of both fields.
 
-    Neighbours along x lie two values apart, real and imaginary parts being in turn.
+    Neighbours along x lie two values apart, real and imaginary parts being in turn; the first two values are rim.
     """
-    sixth, third, quarter = np.float32(1 / 12), np.float32(1 / 6), np.float32(1 / 8)
-    for i in range(gx.shape[0]):
-        p, q = a[i + 2], b[i + 2]
-        gx[i] = sixth * (p * (tb[i + 4] - tb[i]) - q * (ta[i + 4] - ta[i]))
-        gy[i] = sixth * (p * (sb[i + 4] + sb[i + 2] + sb[i]) - q * (sa[i + 4] + sa[i + 2] + sa[i]))
-        bxx, axx = tb[i + 4] + tb[i] - np.float32(2) * tb[i + 2], ta[i + 4] + ta[i] - np.float32(2) * ta[i + 2]
-        xx[i] = -third * (p * bxx + q * axx)
-        xy[i] = -quarter * (p * (sb[i + 4] - sb[i]) + q * (sa[i + 4] - sa[i]))
-        yy[i] = -third * (p * (cb[i + 4] + cb[i + 2] + cb[i]) + q * (ca[i + 4] + ca[i + 2] + ca[i]))
+    twelfth, sixth, eighth, two = np.float32(1 / 12), np.float32(1 / 6), np.float32(1 / 8), np.float32(2)
+    for i in range(np.uint64(gx.shape[0])):
+        j, k = i + NEXT, i + AFTER
+        p, q = a[j], b[j]
+        gx[i] += twelfth * (p * (tb[k] - tb[i]) - q * (ta[k] - ta[i]))
+        gy[i] += twelfth * (p * (sb[k] + sb[j] + sb[i]) - q * (sa[k] + sa[j] + sa[i]))
+        xx[i] -= sixth * (p * (tb[k] + tb[i] - two * tb[j]) + q * (ta[k] + ta[i] - two * ta[j]))
+        xy[i] -= eighth * (p * (sb[k] - sb[i]) + q * (sa[k] - sa[i]))
+        yy[i] -= sixth * (p * (cb[k] + cb[j] + cb[i]) + q * (ca[k] + ca[j] + ca[i]))
+        aa[i] += p * p
+        bb[i] += q * q
 
 
 @compiled
@@ -74,28 +79,31 @@ def slopes_of_windows(
     wide = 2 * side
     a, b = np.empty((side + 2, wide + 4), np.float32), np.empty((side + 2, wide + 4), np.float32)
     column = np.empty((6, wide + 4), np.float32)
-    terms = np.empty((SUMS, wide), np.float32)
+    terms = np.empty((SUMS + 2, wide), np.float32)
     count, step = side // piece, 2 * piece
     for i in range(at.shape[0]):
         x, y = at[i, 0] - 1, at[i, 1] - 1
         _copied(here, height, width, y, x, a)
         _copied(there, height, width, y + moved[i, 1], x + moved[i, 0], b)
-        out[i] = 0
         one = other = 0.0
-        for r in range(count * piece):
-            _columns(a[r], a[r + 1], a[r + 2], column[0], column[1], column[2])
-            _columns(b[r], b[r + 1], b[r + 2], column[3], column[4], column[5])
-            _terms(
-                a[r + 1], column[0], column[1], column[2], b[r + 1], column[3], column[4], column[5],
-                terms[0], terms[1], terms[2], terms[3], terms[4],
-            )  # fmt: skip
-            for k in range(2, wide + 2):
-                one += a[r + 1, k] * a[r + 1, k]
-                other += b[r + 1, k] * b[r + 1, k]
-            for k in range(SUMS):
-                for c in range(count):
+        for r in range(count):
+            terms[:] = 0
+            for k in range(r * piece, (r + 1) * piece):
+                _columns(a[k], a[k + 1], a[k + 2], column[0], column[1], column[2])
+                _columns(b[k], b[k + 1], b[k + 2], column[3], column[4], column[5])
+                _added(
+                    a[k + 1], column[0], column[1], column[2], b[k + 1], column[3], column[4], column[5],
+                    terms[0], terms[1], terms[2], terms[3], terms[4], terms[5], terms[6],
+                )  # fmt: skip
+            for c in range(count):
+                for k in range(SUMS + 2):
                     total = np.float32(0)
                     for j in range(c * step, (c + 1) * step):
                         total += terms[k, j]
-                    out[i, r // piece, c, k] += total
+                    if k < SUMS:
+                        out[i, r, c, k] = total
+                    elif k == SUMS:
+                        one += float(total)
+                    else:
+                        other += float(total)
         energy[i, 0], energy[i, 1] = one, other
