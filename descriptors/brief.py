@@ -47,7 +47,6 @@ class Brief(Descriptor):
     the image are dropped.
     """
 
-    shares_rows = True
 
     bits: Annotated[int, Ge(256), MultipleOf(256)] = 256
     radius: Annotated[float, Interval(ge=5, le=100)] = SUPPORT

@@ -100,7 +100,6 @@ class SarHarris(Detector):
     four looks, in four fifths of the time, and 3 % less exact before they are measured again. Not in blocks.
     """
 
-    shares_rows = True
     block_parameters: ClassVar[Mapping[str, Any]] = MappingProxyType({"coarse": False})
 
     n_features: Count = 5000

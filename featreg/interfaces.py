@@ -29,9 +29,6 @@ class Plugin(ABC):  # noqa: B024  # its kinds have the abstract methods
     block_parameters: ClassVar[Mapping[str, Any]] = MappingProxyType({})
     #: False where nothing is compiled at the first call, so that `featreg.warm_up` leaves the plugin out.
     compiled: ClassVar[bool] = True
-    #: True where threads share out the rows of one image inside of it (`featreg.runtime.threads.in_parts`); the images
-    #: of a pair are looked at side by side by the others.
-    shares_rows: ClassVar[bool] = False
 
     @property
     def parts(self) -> tuple[Plugin, ...]:

@@ -131,19 +131,19 @@ class FeatureMatcher(Matcher):
     def _matched(self, reference: Image, secondary: Image, known: float | None) -> Matches:
         with stage("detect"), keeping():
             detector = self.detector.for_pair(reference, secondary)
-            found = self._each(self._detect, [(detector, reference), (detector, secondary)], detector)
+            found = self._each(self._detect, [(detector, reference), (detector, secondary)])
         if not len(found[0]) or not len(found[1]):
             return Matches.empty()
         images = (reference, secondary)
         rotation = self._rotation(detector, images, found, known)
         with stage("detect"):
             if rotation is None:
-                found = self._each(detector.oriented, list(zip(images, found, strict=True)), detector)
+                found = self._each(detector.oriented, list(zip(images, found, strict=True)))
             else:
                 turns = (0.0, rotation)
                 found = [f.having(angle=read_only(np.full(len(f), turn))) for f, turn in zip(found, turns, strict=True)]
         with stage("describe"):
-            a, b = self._each(self._describe, [(reference, found[0]), (secondary, found[1])], self.descriptor)
+            a, b = self._each(self._describe, [(reference, found[0]), (secondary, found[1])])
         with stage("match"):
             pairs, score = self.nearest.match_features(a, b)
         i, j = pairs.T
@@ -168,16 +168,10 @@ class FeatureMatcher(Matcher):
             raise ParameterError(f"detector {name} gives no descriptors: choose one, as in descriptor='brief'")
         return self.descriptor.describe_features(image, features)
 
-    def _each(
-        self, function: Callable[..., Features], given: Sequence[tuple[Any, ...]], part: Plugin | None
-    ) -> list[Features]:
-        """What a part makes of each image, side by side where threads were asked for, and it does not use them itself.
-
-        All parts must be arrays and kernels.
-        """
+    def _each(self, function: Callable[..., Features], given: Sequence[tuple[Any, ...]]) -> list[Features]:
+        """What a part makes of each image, side by side where threads were asked for and all parts are compiled."""
         work = [partial(function, *arguments) for arguments in given]
-        apart = all(one.compiled for one in self.parts) and not (part is not None and part.shares_rows)
-        return side_by_side(work) if apart else [one() for one in work]
+        return side_by_side(work) if all(one.compiled for one in self.parts) else [one() for one in work]
 
     def _rotation(
         self, detector: Detector, images: tuple[Image, Image], found: list[Features], known: float | None
@@ -198,11 +192,11 @@ class FeatureMatcher(Matcher):
         for most in (VOTERS, MORE_VOTERS):
             with stage("detect"):
                 voters = [(image, f.best(most)) for image, f in zip(images, found, strict=True)]
-                voters = list(zip(images, self._each(detector.oriented, voters, detector), strict=True))
+                voters = list(zip(images, self._each(detector.oriented, voters), strict=True))
             if any((features.angle == features.angle[0]).all() for _, features in voters):
                 return None
             with stage("describe"):
-                first, second = self._each(self._describe, voters, self.descriptor)
+                first, second = self._each(self._describe, voters)
             with stage("rotation"):
                 pairs, _ = self.nearest.match_features(first, second)
                 turn = common_rotation(second.angle[pairs[:, 1]] - first.angle[pairs[:, 0]])

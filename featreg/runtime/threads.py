@@ -9,10 +9,9 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from contextvars import Context, ContextVar, copy_context
+from contextvars import ContextVar, copy_context
 from functools import partial
 from itertools import pairwise
-from queue import SimpleQueue
 from typing import Any, TypeVar
 
 from featreg.errors import ParameterError
@@ -122,13 +121,13 @@ def side_by_side(work: Sequence[Callable[[], T]], size: int = LEAST) -> list[T]:
     """Run functions that do not touch each other's things, and return what they return, in order.
 
     They run at the same time where `limited_threads` around allows more than one thread; one after the other where
-    nobody asked for more, inside of one of them, and where each takes no longer than a light pass over `size` pixels,
+    nobody asked for more, inside of `in_parts`, and where each takes no longer than a light pass over `size` pixels,
     fewer than `LEAST`. The results are the same.
     """
     team = _team.get()
     if team is None or len(work) < 2 or size < LEAST:
         return [function() for function in work]
-    return team.run(work)
+    return team.run(work, divided=False)
 
 
 def in_parts(work: Callable[[int, int], None], count: int, size: int = LEAST, step: int = 1) -> None:
@@ -136,7 +135,8 @@ def in_parts(work: Callable[[int, int], None], count: int, size: int = LEAST, st
 
     Parameters
     ----------
-    work : writes what belongs to some of the rows; what it writes does not depend on how they are divided
+    work : writes what belongs to some of the rows; what it writes does not depend on how they are divided. It asks for
+        no derived maps and takes no locks, as a thread that holds one may do it while it waits.
     count : how many rows there are
     size : pixels of a row; a part has at least `LEAST`, and where not two have as many, all are one part
     step : parts begin at multiples of it
@@ -148,95 +148,187 @@ def in_parts(work: Callable[[int, int], None], count: int, size: int = LEAST, st
     """
     team = _team.get()
     parts = 1 if team is None else min(PARTS * team.size, count // max(-(-LEAST // max(size, 1)), step))
-    if parts < 2:
+    if team is None or parts < 2:
         work(0, count)
         return
     edges = [count * part // parts // step * step for part in range(parts)] + [count]
-    side_by_side([partial(work, *ends) for ends in pairwise(edges)])
+    team.run([partial(work, *ends) for ends in pairwise(edges)], divided=True)
 
 
 class _Team:
     """The thread that makes it and helpers that wait for work beside it, started when there is some.
 
     Starting threads for each piece of work would take as long as many of them, and the processors' caches with it.
+    Who has nothing to do takes part in what any other has begun, whatever lies in whatever: one image of a pair is left
+    to each of two threads, and when one of them is done, it helps with the rows of the other's.
     """
 
     def __init__(self, size: int) -> None:
         self.size = size
-        self._given: SimpleQueue[tuple[Context, _Job] | None] = SimpleQueue()
+        self._lock = threading.Lock()
+        self._open: list[_Job] = []
+        self._sleepers: list[_Sleeper] = []
         self._helpers: list[threading.Thread] = []
+        self._over = False
 
-    def run(self, work: Sequence[Callable[[], T]]) -> list[T]:
-        """What functions return, in order; the first error that one of them raises."""
-        job = _Job(work)
+    def run(self, work: Sequence[Callable[[], T]], divided: bool) -> list[T]:
+        """What functions return, in order; the first error that one of them raises.
+
+        `divided` are those that share out nothing further and take no locks: a thread that waits for its own work may
+        do them meanwhile.
+        """
+        job = _Job(work, divided)
         helpers = min(self.size, len(work)) - 1
         while len(self._helpers) < helpers:
-            helper = threading.Thread(target=_help, args=(self._given,), name="featreg", daemon=True)
+            helper = threading.Thread(target=self._help, name="featreg", daemon=True)
             try:
                 helper.start()
             except RuntimeError:
                 # The system has no more threads for us, or the interpreter is about to end: fewer do the same.
                 break
             self._helpers.append(helper)
-        for _ in range(min(helpers, len(self._helpers))):
-            self._given.put((copy_context(), job))
-        job.take_part()
+        with self._lock:
+            self._open.append(job)
+            self._wake(job, helpers)
+        try:
+            self._take_part(job)
+            while not job.done:
+                self._once(waits_for=job)
+        finally:
+            with self._lock:
+                self._close(job)
         return job.results()
 
     def dismiss(self) -> None:
         """Let the helpers end."""
-        for _ in self._helpers:
-            self._given.put(None)
+        with self._lock:
+            self._over = True
+            for sleeper in self._sleepers:
+                sleeper.bell.release()
+            self._sleepers.clear()
         for helper in self._helpers:
             helper.join()
         self._helpers.clear()
+        self._over = False
+
+    def _help(self) -> None:
+        """Take part in whatever there is until the team is dismissed."""
+        while not self._over:
+            self._once(waits_for=None)
+
+    def _once(self, waits_for: _Job | None) -> None:
+        """Take part in a job that was begun by another thread, or sleep until there may be one; where a thread waits
+        for work of its own, until that is done."""
+        with self._lock:
+            if self._over or (waits_for is not None and waits_for.done):
+                return
+            # The last to be begun lies innermost, and others wait for it.
+            job = next((job for job in reversed(self._open) if job.suits(waits_for)), None)
+            if job is None:
+                sleeper = _Sleeper(waits_for)
+                self._sleepers.append(sleeper)
+        if job is not None:
+            job.context.copy().run(self._take_part, job, waits_for)
+            return
+        try:
+            sleeper.bell.acquire()
+        except BaseException:
+            with self._lock:
+                if sleeper in self._sleepers:
+                    self._sleepers.remove(sleeper)
+            raise
+
+    def _take_part(self, job: _Job, waits_for: _Job | None = None) -> None:
+        """Do what is left of a job, or until that for which a thread waits is done."""
+        token = _team.set(None) if job.divided else None
+        try:
+            while job.step():
+                if waits_for is not None and waits_for.done:
+                    break
+        finally:
+            if token is not None:
+                _team.reset(token)
+        with self._lock:
+            if not job.left:
+                self._close(job)
+            if job.done:
+                for sleeper in self._sleepers:
+                    if sleeper.waits_for is job:
+                        self._sleepers.remove(sleeper)
+                        sleeper.bell.release()
+                        break
+
+    def _close(self, job: _Job) -> None:
+        if job in self._open:
+            self._open.remove(job)
+
+    def _wake(self, job: _Job, most: int) -> None:
+        """Wake those that can take part in a job: helpers without work first."""
+        if not self._sleepers:
+            return
+        able = [sleeper for sleeper in self._sleepers if job.suits(sleeper.waits_for)]
+        able.sort(key=lambda sleeper: sleeper.waits_for is not None)
+        for sleeper in able[:most]:
+            self._sleepers.remove(sleeper)
+            sleeper.bell.release()
 
 
-def _help(given: SimpleQueue[tuple[Context, _Job] | None]) -> None:
-    """Take part in one job after the other until there is none."""
-    while (one := given.get()) is not None:
-        context, job = one
-        context.run(job.take_part)
-        # What the job held shall not live until the next one comes.
-        del one, context, job
+class _Sleeper:
+    """A thread without work, and for which job it waits, if for any."""
+
+    __slots__ = ("bell", "waits_for")
+
+    def __init__(self, waits_for: _Job | None) -> None:
+        self.waits_for = waits_for
+        self.bell = threading.Lock()
+        self.bell.acquire()
 
 
 class _Job:
     """Functions of which each thread that takes part runs the next that no other has begun."""
 
-    def __init__(self, work: Sequence[Callable[[], Any]]) -> None:
+    def __init__(self, work: Sequence[Callable[[], Any]], divided: bool) -> None:
+        self.divided, self.context = divided, copy_context()
         self._work = work
         # Threads share this iterator: its next step is one of the interpreter's own, which no other thread divides.
         self._next = iter(range(len(work)))
         self._found: list[Any] = [None] * len(work)
         self._errors: dict[int, BaseException] = {}
-        self._left, self._lock, self._done = len(work), threading.Lock(), threading.Event()
+        self._to_do, self._lock = len(work), threading.Lock()
 
-    def take_part(self) -> None:
-        """Run what is left; inside nothing else is shared out."""
-        token = _team.set(None)
+    @property
+    def left(self) -> int:
+        """How many functions no thread has begun."""
+        return operator.length_hint(self._next)
+
+    @property
+    def done(self) -> bool:
+        """Whether all have ended."""
+        return self._to_do == 0
+
+    def suits(self, waits_for: _Job | None) -> bool:
+        """Whether a thread can take part; one that waits for its own work may hold locks that undivided work takes."""
+        return bool(self.left) and (waits_for is None or self.divided)
+
+    def step(self) -> bool:
+        """Run the next function; False where there is none."""
+        i = next(self._next, None)
+        if i is None:
+            return False
+        ended = 1
         try:
-            for i in self._next:
-                try:
-                    self._found[i] = self._work[i]()
-                except BaseException as error:
-                    self._errors[i] = error
-                    # What no thread has begun is left out. All that stands before `i` has been begun, so that the
-                    # first error of all is among those found.
-                    skipped = sum(1 for _ in self._next)
-                    with self._lock:
-                        self._left -= skipped
-                with self._lock:
-                    self._left -= 1
-                    last = self._left == 0
-                if last:
-                    self._done.set()
-        finally:
-            _team.reset(token)
+            self._found[i] = self._work[i]()
+        except BaseException as error:
+            self._errors[i] = error
+            # What no thread has begun is left out. All that stands before `i` has been begun, so that the first error
+            # of all is among those found.
+            ended += sum(1 for _ in self._next)
+        with self._lock:
+            self._to_do -= ended
+        return True
 
     def results(self) -> list[Any]:
         """What the functions returned, when all have; the error of the first that raised one."""
-        self._done.wait()
         if not self._errors:
             return self._found
         error = self._errors[min(self._errors)]
