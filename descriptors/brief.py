@@ -47,7 +47,6 @@ class Brief(Descriptor):
     the image are dropped.
     """
 
-
     bits: Annotated[int, Ge(256), MultipleOf(256)] = 256
     radius: Annotated[float, Interval(ge=5, le=100)] = SUPPORT
     spread: Annotated[float, Interval(ge=1, lt=math.inf)] = 9.0

@@ -67,7 +67,6 @@ class SarOfast(Detector):
     valid pixels decides, that of the smaller image of a pair for both (`for_pair`).
     """
 
-
     n_features: Count = 5000
     levels: Count = 8
     factor: Annotated[float, Interval(gt=1, lt=math.inf)] = 1.2

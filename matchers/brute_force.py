@@ -24,8 +24,8 @@ from featreg.types import Features, FloatArray, IntArray
 BLOCK = 512
 # Rows of squared distances held at a time; they stay in the processor's cache.
 ROWS = 128
-# Pairs from which on the rows are shared out, and into how many parts.
-LARGE, PARTS = 1 << 23, 8
+# Pairs of binary descriptors and of others from which on the rows are shared out, and into how many parts.
+LARGE, LARGE_EUCLIDEAN, PARTS = 1 << 23, 1 << 20, 8
 LARGEST = np.iinfo(np.uint64).max
 # Most words of descriptors that are compared in bit slices.
 WIDEST = 12
@@ -102,7 +102,7 @@ def _hamming(a: NDArray[Any], b: NDArray[Any], ratio: bool) -> Neighbours:
         # Rows were counted from the first of the part.
         return np.where(columns < LARGEST, columns + np.uint64(start), columns)
 
-    columns = np.minimum.reduce(side_by_side([partial(part, *ends) for ends in _parts(len(a), len(b))]))
+    columns = np.minimum.reduce(side_by_side([partial(part, *ends) for ends in _parts(len(a), len(b), LARGE)]))
     low = np.uint64(0xFFFFFFFF)
     forward, backward = (rows & low).astype(np.int64), (columns & low).astype(np.int64)
     distance = (rows >> np.uint64(32)).astype(np.float64)
@@ -143,9 +143,9 @@ def _aligned(shape: tuple[int, ...]) -> NDArray[np.uint64]:
     return held[start : start + size].reshape(shape)
 
 
-def _parts(rows: int, columns: int) -> list[tuple[int, int]]:
+def _parts(rows: int, columns: int, large: int) -> list[tuple[int, int]]:
     """(first, behind the last) row of parts that threads share out, whole numbers of blocks; one of small sets."""
-    count = PARTS if rows * columns >= LARGE else 1
+    count = PARTS if rows * columns >= large else 1
     step = -(-rows // (count * ROWS)) * ROWS
     return [(start, min(start + step, rows)) for start in range(0, rows, step)]
 
@@ -187,7 +187,7 @@ def _euclidean(a: NDArray[Any], b: NDArray[Any], ratio: bool) -> Neighbours:
                 distance_kernels.second_nearest(squared, forward[part], second[part])
         return mine
 
-    column = np.minimum.reduce(side_by_side([partial(looked_at, *ends) for ends in _parts(n, m)]))
+    column = np.minimum.reduce(side_by_side([partial(looked_at, *ends) for ends in _parts(n, m, LARGE_EUCLIDEAN)]))
     # Of rows at the same distance from a column that is the nearest of each, the first has it.
     mine = np.flatnonzero(best == column[forward])[::-1]
     backward[forward[mine]] = mine

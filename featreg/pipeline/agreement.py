@@ -152,7 +152,9 @@ class Agreement:
             return None
         nodes, zoom = mapped(model, size, step)
         unit = step // 2
-        views = view_of(reference, unit, 1.0), view_of(secondary, unit, zoom)
+        views = side_by_side(
+            [partial(view_of, reference, unit, 1.0), partial(view_of, secondary, unit, zoom)], reference.pixels.size
+        )
         there, valid = sampled(secondary, views[1], nodes, zoom, size, step, usable(reference, without), without)
         if np.count_nonzero(valid) < (2 * HALF + 1) ** 2:
             return None

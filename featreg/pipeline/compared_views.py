@@ -122,7 +122,8 @@ def sampled(
             sides, first, stop, out, valid,
         )  # fmt: skip
 
-    in_parts(part, *out.shape)
+    # A sample takes as long as sixteen pixels of a light pass.
+    in_parts(part, len(out), 16 * out.shape[1])
     return out, valid
 
 
@@ -153,5 +154,6 @@ def contrasts(here: F32, there: F32, valid: BoolArray) -> tuple[F32, F32]:
             mean = cv2.GaussianBlur(shown, (0, 0), SHADING)[inner]
             out[top:bottom] = shown[inner] - (mean if whole else mean * per)
 
-    in_parts(part, *here.shape)
+    # The rows around a part that are looked at too make more than a few of them dear.
+    in_parts(part, height, 4 * here.shape[1])
     return first, second

@@ -24,7 +24,7 @@ from featreg.runtime.threads import side_by_side
 from featreg.sar.bridging import on_sample
 from featreg.sar.correlation import peaks_uphill
 from featreg.sar.speckle import despeckled
-from featreg.sar.windows import aligned_windows, as_map, compact, few, gaussian, log_windows, places
+from featreg.sar.windows import as_map, compact, few, gaussian, places, windows_of_both
 from featreg.types import FloatArray, Image, IntArray, Matches
 
 F32 = NDArray[np.float32]
@@ -106,9 +106,9 @@ class Locate:
         if few(len(at), side, reference.shape):
             maps = local_affines(model, (at + offset).astype(np.float64))
             if compact(maps).all():
-                smooth = gaussian(self.smoothing)
-                here = log_windows(reference, at - around, side, smooth)
-                aligned = aligned_windows(secondary, maps, reference.shape, at + offset - around, side, smooth)
+                here, aligned = windows_of_both(
+                    reference, secondary, maps, at - around, at + offset - around, side, gaussian(self.smoothing)
+                )
                 middles = places(len(at), side, around)
                 return as_map(here), as_map(aligned), middles, middles
         whole = side_by_side(

@@ -36,7 +36,7 @@ from featreg.sar.correlation_filter import (
 )
 from featreg.sar.pyramid import reduced
 from featreg.sar.speckle import despeckled, despeckled_halved, log_amplitude
-from featreg.sar.windows import aligned_windows, as_map, compact, few, log_windows, places
+from featreg.sar.windows import as_map, compact, few, places, windows_of_both
 from featreg.types import BoolArray, FloatArray, Image, IntArray, Matches
 
 F32 = NDArray[np.float32]
@@ -174,8 +174,9 @@ class Refine:
             best = self._filter(reference, secondary, model)
             if best is None:
                 return None
-            view = log_windows(reference, seeds - around, side, filtered=best.taps)
-            aligned = aligned_windows(secondary, maps, reference.shape, seeds - around, side, filtered=best.taps)
+            view, aligned = windows_of_both(
+                reference, secondary, maps, seeds - around, seeds - around, side, filtered=best.taps
+            )
             return as_map(view), as_map(aligned), places(len(seeds), side, around)
         view, aligned = side_by_side(
             [
@@ -198,9 +199,7 @@ class Refine:
         corners, maps = corners[narrow], maps[narrow]
         if not len(corners):
             return None
-        return filter_of_squares(
-            log_windows(reference, corners, SIDE), aligned_windows(secondary, maps, reference.shape, corners, SIDE)
-        )
+        return filter_of_squares(*windows_of_both(reference, secondary, maps, corners, corners, SIDE))
 
     def _first_pass(self, reference: Image, secondary: Image, model: Model, seeds: IntArray) -> Model | FailedFit:
         """The model fitted to shifts at half size, of a sample of the points."""

@@ -24,9 +24,8 @@ _before: list[list[int]] = []
 _before_lock = threading.Lock()
 #: The threads that were asked for around; None where nobody asked for more than one.
 _team: ContextVar[_Team | None] = ContextVar("featreg_threads", default=None)
-#: Parts for each thread: what one is late by, the others make up for. Fewest pixels of one: about 0.2 ms, where a
-#: thread that waits begins after 0.02 ms on an idle machine, and later on a busy one.
-PARTS, LEAST = 4, 1 << 18
+#: Fewest pixels of a part: about 0.2 ms, where a thread that waits begins after 0.02 to 0.2 ms.
+LEAST = 1 << 18
 
 #: Read by the numeric libraries when they are first imported.
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
@@ -138,21 +137,26 @@ def in_parts(work: Callable[[int, int], None], count: int, size: int = LEAST, st
     work : writes what belongs to some of the rows; what it writes does not depend on how they are divided. It asks for
         no derived maps and takes no locks, as a thread that holds one may do it while it waits.
     count : how many rows there are
-    size : pixels of a row; a part has at least `LEAST`, and where not two have as many, all are one part
+    size : pixels of a row; a part has at least `LEAST`, and where not two have as many, all are one part. Where the
+        work on one takes longer than a light pass, as many as such a pass would do meanwhile
     step : parts begin at multiples of it
 
     Notes
     -----
-    Where one thread was asked for, `work(0, count)` is called. Arrays that `work` fills are best made before it: glibc
-    gives those that other threads make and free back to the system.
+    Where one thread was asked for, `work(0, count)` is called. Otherwise each part is that of the rest which would be
+    left to each of twice as many threads: what one is late by, the others make up for. Arrays that `work` fills are
+    best made before it: glibc gives those that other threads make and free back to the system.
     """
     team = _team.get()
-    parts = 1 if team is None else min(PARTS * team.size, count // max(-(-LEAST // max(size, 1)), step))
-    if team is None or parts < 2:
+    least = -(-LEAST // max(size, 1) // step) * step
+    if team is None or count < 2 * least:
         work(0, count)
         return
-    edges = [count * part // parts // step * step for part in range(parts)] + [count]
-    team.run([partial(work, *ends) for ends in pairwise(edges)], divided=True)
+    edges = [0]
+    while count - edges[-1] >= 2 * least:
+        share = (count - edges[-1]) // (2 * team.size)
+        edges.append(edges[-1] + max(share // step * step, least))
+    team.run([partial(work, *ends) for ends in pairwise([*edges, count])], divided=True)
 
 
 class _Team:

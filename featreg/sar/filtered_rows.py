@@ -23,12 +23,15 @@ def filtered_rows(function: Callable[[F32], NDArray[Any]], view: F32, reach: int
     reach : how many rows above and below one are looked at, px
     """
     height = view.shape[0]
-    found: dict[int, NDArray[Any]] = {}
+    out = np.empty(view.shape, np.float32)
 
     def part(first: int, stop: int) -> None:
+        nonlocal out
+        if stop - first == height:
+            out = np.asarray(function(view), np.float32)
+            return
         above = max(first - reach, 0)
-        found[first] = function(view[above : min(stop + reach, height)])[first - above : stop - above]
+        out[first:stop] = function(view[above : min(stop + reach, height)])[first - above : stop - above]
 
     in_parts(part, *view.shape)
-    whole = found[0] if len(found) == 1 else np.concatenate([found[first] for first in sorted(found)])
-    return np.asarray(whole, np.float32)
+    return out

@@ -140,8 +140,17 @@ def _neighbours(count: int, fewer: int) -> tuple[NDArray[np.int32], NDArray[np.f
 def _reduced_to(image: Image, height: int, width: int) -> Image:
     import cv2
 
-    size = (width, height)
-    pixels = np.asarray(cv2.resize(image.amplitude, size, interpolation=cv2.INTER_AREA), np.float32)
+    size, whole = (width, height), image.shape[0] // height
+    if image.shape == (whole * height, whole * width):
+        pixels, amplitude = np.empty((height, width), np.float32), image.amplitude
+
+        def part(first: int, stop: int) -> None:
+            rows = amplitude[whole * first : whole * stop]
+            cv2.resize(rows, (width, stop - first), pixels[first:stop], interpolation=cv2.INTER_AREA)
+
+        in_parts(part, height, image.shape[1])
+    else:
+        pixels = np.asarray(cv2.resize(image.amplitude, size, interpolation=cv2.INTER_AREA), np.float32)
     mask = everywhere((pixels.shape[0], pixels.shape[1]))
     if not image.all_valid:
         share = cv2.resize(image.mask.view(np.uint8) * np.uint8(255), size, interpolation=cv2.INTER_AREA)

@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from featreg.runtime.threads import in_parts
+from featreg.runtime.threads import in_parts, side_by_side
 from featreg.sar.speckle import filled_amplitude, gaussian_reach, log_floor
 from featreg.types import BoolArray, FloatArray, Image, IntArray
 
@@ -19,6 +19,8 @@ F32 = NDArray[np.float32]
 
 #: Windows that are worked on at a time, so that they stay in the cache.
 CHUNK = 32
+#: How many times as long as a light pass a pixel of a window takes.
+COST = 8
 #: A window needs at most so many times its side of the other image; beyond, the whole image is quicker.
 MOST_STRETCHED = 2.0
 
@@ -115,6 +117,28 @@ def aligned_windows(
     return _in_chunks(made, np.arange(len(corners)), side)
 
 
+def windows_of_both(
+    reference: Image,
+    secondary: Image,
+    affine: FloatArray,
+    corners: IntArray,
+    others: IntArray,
+    side: int,
+    smooth: Taps | None = None,
+    filtered: Taps | None = None,
+) -> tuple[F32, F32]:
+    """Return windows of the log-amplitude of two images on the grid of the first, as `log_windows` at `corners` and
+    `aligned_windows` at `others` make them; side by side where threads were asked for."""
+    here, there = side_by_side(
+        [
+            lambda: log_windows(reference, corners, side, smooth, filtered),
+            lambda: aligned_windows(secondary, affine, reference.shape, others, side, smooth, filtered),
+        ],
+        COST * len(corners) * side**2,
+    )
+    return here, there
+
+
 def compact(affine: FloatArray) -> BoolArray:
     """(N,) whether affine maps (N, 2, 3) are finite and take no square to so much that windows are no good."""
     stretch = np.abs(affine[:, :, :2]).sum(axis=2).max(axis=1)
@@ -166,5 +190,5 @@ def _in_chunks(made: Callable[[IntArray], F32], given: IntArray, side: int) -> F
             stop = min(start + CHUNK, last)
             out[start:stop] = made(given[start:stop])
 
-    in_parts(part, len(given), side**2, CHUNK)
+    in_parts(part, len(given), COST * side**2, CHUNK)
     return out

@@ -58,6 +58,11 @@ def everywhere(shape: tuple[int, int]) -> BoolArray:
     return held[:count].reshape(shape)
 
 
+def is_everywhere(mask: BoolArray) -> bool:
+    """Whether a map is one that `everywhere` lets share its memory, without looking at it; False says nothing."""
+    return mask.base is not None and mask.base is _true.get("held")
+
+
 def points(values: ArrayLike, what: str) -> FloatArray:
     """Return `values` as a read-only (N, 2) float64 array of (x, y) points.
 

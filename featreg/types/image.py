@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from featreg.errors import InputError
 from featreg.runtime.showing import Shown, figure_of
-from featreg.types.arrays import BoolArray, FloatArray, ReadOnlyArrays, kept
+from featreg.types.arrays import BoolArray, FloatArray, ReadOnlyArrays, is_everywhere, kept
 from featreg.types.derived import DerivedMaps
 
 T = TypeVar("T")
@@ -122,7 +122,8 @@ class Image(ReadOnlyArrays, Shown):
         """How many pixels are valid; counted once."""
         known: int | None = self.__dict__.get("_valid")
         if known is None:
-            self.__dict__["_valid"] = known = int(np.count_nonzero(self.mask))
+            known = self.mask.size if is_everywhere(self.mask) else int(np.count_nonzero(self.mask))
+            self.__dict__["_valid"] = known
         return known
 
     @property
