@@ -21,6 +21,8 @@ FEW = 1.5
 MOST_ROOT = 46_340
 #: A map's level is told by every so many rows and columns.
 SPARSE = 16
+#: How many times as long as a light pass a pixel of a window takes on its way uphill.
+COST = 4
 
 
 @dataclass(frozen=True)
@@ -181,7 +183,7 @@ def _uphill(
             half, search, apart, now[some], nine[some],
         )  # fmt: skip
 
-    in_parts(part, len(xy), (2 * half + 1) ** 2)
+    in_parts(part, len(xy), COST * (2 * half + 1) ** 2)
     return _in_order(now, order), _in_order(nine, order)
 
 
