@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from featreg import registry
 from featreg.simulate import SimulatedPair, sar_pair
 
 Texture = Callable[..., NDArray[np.float32]]
@@ -93,6 +94,16 @@ def located_pair(tmp_path_factory: pytest.TempPathFactory) -> LocatedPair:
         ) as dataset:
             dataset.write(samples, 1)
     return LocatedPair(folder / "reference.tif", folder / "secondary.tif", pair.truth, bias)
+
+
+@pytest.fixture
+def scratch(monkeypatch: pytest.MonkeyPatch) -> dict[tuple[str, str], registry.Entry]:
+    """The registry with a copy of its list, put back afterwards."""
+    registry.available("detector")
+    copy = dict(registry._entries)
+    monkeypatch.setattr(registry, "_entries", copy)
+    monkeypatch.setattr(registry, "_broken", dict(registry._broken))
+    return copy
 
 
 @pytest.fixture(scope="session")

@@ -7,16 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-import featreg
 from featreg import registry
 from featreg.errors import InputError, ParameterError, UnknownNameError
-from featreg.results.registration import Registration
 from featreg.simulate import SimulatedPair
-
-
-def run(pair: SimulatedPair, **keywords: Any) -> Registration:
-    return featreg.match(pair.reference, pair.secondary, **keywords)
-
+from made.matched import matched
 
 # Keywords
 
@@ -29,28 +23,28 @@ def test_a_misspelt_keyword_suggests_the_right_one(pair: SimulatedPair) -> None:
         ("quota_decy", "quota_decay"),
     ):
         with pytest.raises(ParameterError, match=f"'{right}'"):
-            run(pair, **{wrong: 3})
+            matched(pair, **{wrong: 3})
 
 
 def test_a_keyword_of_two_parts_names_both(pair: SimulatedPair) -> None:
     with pytest.raises(ParameterError) as caught:
-        run(pair, threshold=3)
+        matched(pair, threshold=3)
     assert "detector.threshold" in str(caught.value)
     assert "fsc.threshold" in str(caught.value)
 
 
 def test_a_keyword_with_its_part_reaches_only_that_part(pair: SimulatedPair) -> None:
-    parameters = run(pair, **{"fsc.threshold": 1.5, "detector.threshold": 20}).provenance["parameters"]
+    parameters = matched(pair, **{"fsc.threshold": 1.5, "detector.threshold": 20}).provenance["parameters"]
     assert parameters["fsc"]["threshold"] == 1.5
     assert parameters["detector"]["threshold"] == 20
     with pytest.raises(ParameterError, match=r"nobody\.threshold"):
-        run(pair, **{"nobody.threshold": 1})
+        matched(pair, **{"nobody.threshold": 1})
     with pytest.raises(ParameterError, match=r"gms\.threshold"):
-        run(pair, **{"gms.threshold": 1})
+        matched(pair, **{"gms.threshold": 1})
 
 
 def test_a_keyword_of_one_part_needs_no_prefix(pair: SimulatedPair) -> None:
-    parameters = run(pair, alpha=3.0, grid=15, half=20, least_inliers=20).provenance["parameters"]
+    parameters = matched(pair, alpha=3.0, grid=15, half=20, least_inliers=20).provenance["parameters"]
     assert parameters["detector"]["alpha"] == 3.0
     assert parameters["gms"]["grid"] == 15
     assert parameters["refinement"]["half"] == 20
@@ -59,16 +53,16 @@ def test_a_keyword_of_one_part_needs_no_prefix(pair: SimulatedPair) -> None:
 
 def test_the_features_of_the_detector_alone_can_be_limited(pair: SimulatedPair) -> None:
     """What a user writes is obeyed or refused, never dropped."""
-    found = run(pair, refine=False, **{"detector.n_features": 150})
+    found = matched(pair, refine=False, **{"detector.n_features": 150})
     assert found.provenance["parameters"]["detector"]["n_features"] == 150
     assert np.count_nonzero(found.matches.origin < 0) <= 150
 
 
 def test_parts_are_replaced_by_name_or_object(pair: SimulatedPair) -> None:
-    by_name = run(pair, detector="fast", descriptor="brief", filters=["gms", "ransac"])
+    by_name = matched(pair, detector="fast", descriptor="brief", filters=["gms", "ransac"])
     assert list(by_name.stages)[:2] == ["gms", "ransac"]
     assert by_name.provenance["parameters"]["detector"]["name"] == "fast"
-    by_object = run(
+    by_object = matched(
         pair, detector=registry.create("detector", "fast"), filters=["gms", registry.create("filter", "ransac")]
     )
     np.testing.assert_array_equal(by_object.matches.reference_xy, by_name.matches.reference_xy)
@@ -105,10 +99,10 @@ def test_parts_are_replaced_by_name_or_object(pair: SimulatedPair) -> None:
 )
 def test_misuse_raises_from_our_tree(pair: SimulatedPair, keywords: dict[str, Any], error: type[Exception]) -> None:
     with pytest.raises(error) as caught:
-        run(pair, **keywords)
+        matched(pair, **keywords)
     assert "\n" not in str(caught.value)
 
 
 def test_numpy_numbers_are_numbers(pair: SimulatedPair) -> None:
-    found = run(pair, n_features=np.int64(300), seed=np.int64(1))
+    found = matched(pair, n_features=np.int64(300), seed=np.int64(1))
     assert found.inliers.sum() <= 300

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,5 +13,13 @@ from made.scene_results import BLOCK
 
 
 @pytest.fixture(scope="session")
-def result(located_pair: Any) -> Registration:
-    return featreg.match(located_pair.reference, located_pair.secondary, **BLOCK)
+def undisturbed(located_pair: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Registration]:
+    """A folder with every block file, and the result."""
+    folder = tmp_path_factory.mktemp("state")
+    result = featreg.match(located_pair.reference, located_pair.secondary, **BLOCK, resume=folder)
+    return folder, result
+
+
+@pytest.fixture(scope="session")
+def result(undisturbed: tuple[Path, Registration]) -> Registration:
+    return undisturbed[1]
