@@ -193,6 +193,14 @@ class WholeWindows:
         self.reference, self.secondary, self.model = reference, secondary, model
         self._clear = None if reference.all_valid else clear(reference, self.reach)
 
+    @property
+    def share(self) -> float:
+        """The share of the places with room for a window in the reference at which it is valid there."""
+        if self._clear is None:
+            return 1.0
+        height, width = (n - 2 * self.reach for n in self.reference.shape)
+        return float(np.count_nonzero(self._clear)) / (height * width) if min(height, width) > 0 else 0.0
+
     def in_reference(self, xy: IntArray) -> BoolArray:
         """(N,) of (N, 2) whole pixels inside the reference."""
         if self._clear is None:

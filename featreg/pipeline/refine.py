@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Annotated
@@ -51,6 +50,8 @@ FILTER_MARGIN = 2
 # Windows of two places that tell how high peaks are by chance: most of them, the fewest that tell, and the height, of a
 # filtered window of the usual size, that chance alone must not be taken to reach.
 MOST_CHANCE, LEAST_CHANCE, LEAST_HEIGHT = 200, 30, 0.1
+# The grid that fills points up has at most so many times as many cells as are wanted, however little is valid.
+MOST_CELLS = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,7 +247,7 @@ class Refine:
         return model, there, usable & (weights > 0)
 
     def _seeds(
-        self, reference: Image, usable: Callable[[IntArray], BoolArray], matches: Matches, budget: int
+        self, reference: Image, usable: WholeWindows, matches: Matches, budget: int
     ) -> tuple[IntArray, IntArray]:
         """Whole-pixel points to look at, without repeats: those of the matches first, then a fill-in of (-1) points."""
         height, width = reference.shape
@@ -256,11 +257,18 @@ class Refine:
         missing = budget - len(at)
         if missing > 0:
             small = despeckled(reduced(reference, 0.5), self.sigma / 2)
-            fill = 2 * strongest_of_cells(small, missing, (self.half + MARGIN) // 2)
+            # So many are to lie in what is valid, not in the frame around it.
+            cells = round(missing / max(usable.share, 1 / MOST_CELLS))
+            fill = 2 * strongest_of_cells(small, cells, (self.half + MARGIN) // 2)
             fill = fill[usable(fill)]
             at, origin = np.concatenate([at, fill]), np.concatenate([origin, np.full(len(fill), -1)])
         _, first = np.unique(at[:, 1] * width + at[:, 0], return_index=True)
-        first = np.sort(first)[:budget]
+        first = np.sort(first)
+        if len(first) > budget:
+            # Cells are whole pixels wide and may be more than are wanted: some of every part of the image are left out.
+            own, filled = np.split(first, [int(np.searchsorted(first, np.count_nonzero(good)))])
+            left = max(0, budget - len(own))
+            first = np.concatenate([own, filled[np.arange(left) * len(filled) // max(left, 1)]])[:budget]
         return at[first], origin[first]
 
 

@@ -114,6 +114,30 @@ def test_never_more_points_than_asked_for(pair: SimulatedPair, n: int) -> None:
     assert found.candidates <= n
 
 
+def test_points_fill_all_of_the_image_where_cells_are_more_than_the_budget(pair: SimulatedPair) -> None:
+    y = refined(pair, n=1000).matches.reference_xy[:, 1]
+    upper, lower = (y < 150).sum(), (y > 149).sum()
+    assert upper > 200
+    assert lower == pytest.approx(upper, rel=0.25)
+
+
+def test_a_strip_in_a_frame_is_filled_up_as_it_is_alone() -> None:
+    made = sar_pair((600, 300), rotation_deg=0, scale=1, shift=(1.3, 0.6), seed=3)
+    strip = np.zeros((600, 300), np.bool_)
+    strip[200:380] = True
+    framed = Refine().run(
+        as_image(made.reference, mask=strip), as_image(made.secondary), near(made.truth), Matches.empty(), 600
+    )
+    alone = Refine().run(
+        *(as_image(image[200:380]) for image in (made.reference, made.secondary)),
+        near(made.truth),
+        Matches.empty(),
+        600,
+    )
+    assert len(alone.matches) > 300
+    assert len(framed.matches) > 0.9 * len(alone.matches)
+
+
 def test_origin_names_the_match_that_a_point_came_from(pair: SimulatedPair) -> None:
     xy = np.random.default_rng(0).uniform(40, 260, (100, 2))
     found = refined(pair, Matches(xy, xy, np.ones(100))).matches
