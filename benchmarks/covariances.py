@@ -2,6 +2,7 @@
 
     python benchmarks/covariances.py [--pairs 8] [--looks 1,4,16] [--methods sar-dense,sar-orb,sar-sift]
                                      [--scenes simulated,changed,real] [--side 400] [--windows 48] [--seed 0]
+                                     [--blocks 200]
 
 Pairs: simulated landscapes of which 5 % (`simulated`) or 40 % (`changed`) differ between the dates, and cuts of the
 real scene (`real`), the second resampled by a known similarity; all under fresh speckle of so many looks, correlated as
@@ -12,6 +13,9 @@ gives and of the final ones of every method, each with the standard error by whi
 median squared Mahalanobis length over that of two Gaussian errors; root mean square error, and what the covariances say
 of it. Model: the same shares over a 5 x 5 grid of the reference by `featreg.geometry.correlated_covariance`, and root
 mean squares of its error, true and said.
+
+Blocks: the gate `block_error` of a scene of `sar-dense`, what it says of a block that is displaced by so much, of
+100 windows with errors of one standard deviation along each axis, some of which lie anywhere within the search.
 
 `alike` is what windows tell of the weight by which they share their scatter (`precision.ALIKE`): one over the variance
 among windows of the logarithm of independent samples, less what chance gives it.
@@ -31,13 +35,15 @@ from measuring import DATA, machine, on_one_thread, read, table
 from numpy.typing import NDArray
 
 import featreg
-from featreg.geometry import correlated_covariance, inverse_variances
+from featreg.geometry import Translation, correlated_covariance, inverse_variances
 from featreg.interfaces import FailedFit
 from featreg.io import as_image
 from featreg.registry import create
 from featreg.sar.orientation import precision
+from featreg.scene.merge import Merged, block_errors
 from featreg.simulate import sar_pair, similarity_matrix
 from featreg.simulate.speckle_field import speckled_intensity
+from featreg.types import Matches
 
 F64 = NDArray[np.float64]
 Pair = tuple[NDArray[np.float32], NDArray[np.float32], F64]
@@ -46,6 +52,8 @@ SHARES = np.array([0.50, 0.68, 0.95, 0.99])
 LIMITS, MEDIAN = -2 * np.log(1 - SHARES), 2 * math.log(2)
 CHANGED = {"simulated": 0.05, "changed": 0.4}
 MARGIN = 100
+#: Farthest that a window of `sar-dense` looks, px.
+SEARCHED = 6.0
 
 
 def pairs(scene: str, looks: int, count: int, side: int, seed: int) -> Iterator[Pair]:
@@ -132,6 +140,28 @@ def of_model(tally: Tally, found: featreg.Registration, truth: F64, side: int) -
         tally.add(error_of(found.model(grid), grid, truth), known.covariance)
 
 
+def of_blocks(count: int, seed: int) -> str:
+    """What a displaced block says of itself: median and 5 % quantile, px, and the share that says nothing."""
+    rng, rows = np.random.default_rng(seed), []
+    windows, zero, none = 100, Translation(0.0, 0.0), Matches.empty()
+    here, owners = rng.uniform(0, 600, (count * windows, 2)), np.repeat(np.arange(count), windows)
+    for noise in (0.3, 1.0, 2.0):
+        for wild in (0.0, 0.2, 0.4, 0.6):
+            cells = []
+            for off in (0.0, 1.0, 2.0, 3.0, 5.0):
+                away = rng.normal([0.6 * off, 0.8 * off], noise, here.shape)
+                lost = rng.random(len(here)) < wild
+                away[lost] = rng.uniform(-SEARCHED, SEARCHED, (int(lost.sum()), 2))
+                points = Matches(here, here + away, np.ones(len(here)))
+                merged = Merged(points, {}, owners, none, owners[:0], 0, (600, 600), none, owners[:0])
+                said = block_errors(merged, zero, count)
+                known = said[np.isfinite(said)]
+                low, middle = np.percentile(known, [5, 50]) if len(known) else (math.nan, math.nan)
+                cells.append(f"{middle:.2f} ({low:.2f}; {100 - 100 * len(known) / count:.0f} %)")
+            rows.append([noise, wild, *cells])
+    return table(["noise px", "anywhere", *(f"{off} px off" for off in (0, 1, 2, 3, 5))], rows)
+
+
 class Watched:
     """Looks at what `precision` computes, to tell how alike the windows of a pair are."""
 
@@ -155,13 +185,14 @@ def main() -> None:
     parser.add_argument("--scenes", default="simulated,changed,real")
     parser.add_argument("--side", type=int, default=400)
     parser.add_argument("--windows", default="48", help="sides of the windows of sar-dense")
+    parser.add_argument("--blocks", type=int, default=200, help="simulated blocks of a row; 0 for none")
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
     on_one_thread(pinned=False)
     print(machine())
     shares = [f"{100 * share:.0f} %" for share in SHARES]
     rows, alike = [], []
-    for scene in args.scenes.split(","):
+    for scene in filter(None, args.scenes.split(",")):
         for looks in (int(text) for text in args.looks.split(",")):
             if scene == "real" and not (DATA / "sentinel1_mosaic").is_dir():
                 print("no real scene: left out")
@@ -194,6 +225,8 @@ def main() -> None:
         print(
             f"alike: {np.percentile(alike, 25):.3g}, {np.median(alike):.3g}, {np.percentile(alike, 75):.3g} (quartiles)"
         )
+    if args.blocks:
+        print(of_blocks(args.blocks, args.seed))
 
 
 if __name__ == "__main__":

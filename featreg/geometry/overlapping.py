@@ -10,7 +10,7 @@ from featreg.interfaces import FailedFit, Model
 from featreg.types import FloatArray
 
 #: So many windows, evenly taken, tell it.
-ENOUGH = 300
+ENOUGH = 150
 #: A fit that follows more than this share of the errors is no longer judged by its residuals.
 MOST = 0.5
 

@@ -153,6 +153,24 @@ def test_windows_that_are_noisy_themselves_tell_by_what_most_of_a_block_say() ->
     assert np.nanmax(others) < 1.5
 
 
+@pytest.mark.parametrize(("noise", "wild", "most_off"), [(0.3, 0.6, 0.25), (1.0, 0.4, 0.6), (2.0, 0.0, 1.4)])
+def test_a_displaced_block_reads_as_far_off_as_it_is(noise: float, wild: float, most_off: float) -> None:
+    """Of 100 windows of a block some lie anywhere within the search, the others about where they belong."""
+    rng = np.random.default_rng(3)
+    for off in (0.0, 2.0, 5.0):
+        said = []
+        for _ in range(40):
+            away = rng.normal([0.6 * off, 0.8 * off], noise, (100, 2))
+            lost = rng.random(100) < wild
+            away[lost] = rng.uniform(-6, 6, (int(lost.sum()), 2))
+            found = _together(away)
+            said.append(np.nan if found is None else np.hypot(*np.median(away[found], axis=0)))
+        assert np.isfinite(said).mean() > 0.9
+        low, middle = np.nanquantile(said, [0.05, 0.5])
+        assert middle == pytest.approx(off, abs=0.8 if off == 0 else 0.15 * max(noise, 1))
+        assert low > off - most_off
+
+
 def test_what_very_many_points_of_a_block_say_needs_little_memory() -> None:
     rng = np.random.default_rng(7)
     away = np.concatenate([rng.normal([3.5, 0], 1.0, (2400, 2)), rng.uniform(-30, 30, (1600, 2))])
