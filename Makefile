@@ -11,8 +11,7 @@ WORKERS ?= 2
 EXTRAS ?= dev
 OPENCV4 := .opencv4
 # Registry, methods and plugins: what depends on OpenCV and on the version of Python.
-PLUGIN_TESTS := tests/test_registry.py tests/test_entry_points.py tests/test_presets.py tests/interop/test_opencv.py \
-	tests/interop/test_opencv_keypoints.py tests/interop/test_opencv_table.py tests/interop/test_opencv_networks.py \
+PLUGIN_TESTS := tests/test_registry.py tests/test_entry_points.py tests/test_presets.py tests/interop/test_opencv*.py \
 	tests/detectors tests/descriptors tests/matchers
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,34 +10,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from featreg.errors import ParameterError, PluginUnavailableError
+from featreg.errors import ParameterError
 from featreg.focusing.backprojection import SPEED_OF_LIGHT as C
 from featreg.focusing.backprojection import Window, back_project, carrier
 from featreg.focusing.ground_grid import GroundGrid
 from featreg.focusing.phase_history import PhaseHistory
 from featreg.focusing.phase_history_files import read_phase_history
+from made.phase_histories import BAND, COUNT, ELEVATION, GRID, LOW, PULSES, SMALL, SPAN, echoes
 
-BAND, LOW, COUNT = 600e6, 9.3e9, 64
-SPAN, PULSES = 3.0, 60
-ELEVATION = np.deg2rad(40.0)
-GRID = GroundGrid(shape=(41, 51), spacing=0.15)
 # Width at half power, in units of the reciprocal of the extent, of the transform of a window.
 WIDTHS = {"none": 0.886, "hamming": 1.303, "hann": 1.441}
-
-
-def echoes(points: Any, amplitudes: Any, middle_deg: float = 20.0, pulses: int = PULSES) -> PhaseHistory:
-    """The phase history of (N, 3) points by the signal model itself, summed in float64."""
-    azimuth = middle_deg + np.linspace(-SPAN / 2, SPAN / 2, pulses)
-    turn = np.deg2rad(azimuth)
-    look = np.column_stack([np.cos(turn), np.sin(turn), np.full(pulses, np.tan(ELEVATION))])
-    positions = 5000.0 * look
-    r0 = np.linalg.norm(positions, axis=1)
-    frequencies = np.linspace(LOW, LOW + BAND, COUNT)
-    samples = np.zeros((pulses, COUNT), np.complex128)
-    for point, amplitude in zip(np.reshape(points, (-1, 3)), np.ravel(amplitudes), strict=True):
-        off = np.linalg.norm(positions - point, axis=1) - r0
-        samples += amplitude * np.exp(-4j * np.pi * off[:, None] * frequencies / C)
-    return PhaseHistory(samples.astype(np.complex64), frequencies, positions, r0, azimuth)
 
 
 def peak(pixels: NDArray[Any]) -> tuple[int, int]:
@@ -75,9 +56,6 @@ def by_loop(h: PhaseHistory, grid: GroundGrid, upsampling: int | None) -> NDArra
                     value = at + (d / bin_m - left) * (after - at)
                 image[row, col] += value * np.exp(4j * np.pi * middle * d / C)
     return image
-
-
-SMALL = GroundGrid(shape=(7, 9), spacing=0.31)
 
 
 def busy() -> PhaseHistory:
@@ -167,36 +145,6 @@ def test_interpolation_comes_to_the_matched_filter(upsampling: int, error: float
     exact = by_loop(h, SMALL, None)
     image = back_project(h, SMALL, upsampling=upsampling).pixels
     assert np.abs(image - exact).max() < error * np.abs(exact).max()
-
-
-def test_torch_gives_the_same_image() -> None:
-    pytest.importorskip("torch")
-    h = echoes([[0.5, 0.3, 0.0], [-1.0, 0.6, 0.0]], [1.0, 2j])
-    for upsampling in (16, 7):
-        numba, torch = (back_project(h, GRID, upsampling=upsampling, backend=b).pixels for b in ("numba", "torch"))
-        np.testing.assert_allclose(torch, numba, atol=1e-5)
-
-
-@pytest.mark.parametrize("device", ["cuda:9", "nonsense"])
-def test_a_device_that_is_not_there_is_said(device: str) -> None:
-    pytest.importorskip("torch")
-    with pytest.raises(ParameterError, match=f"device '{device}' cannot be used here"):
-        back_project(echoes([0.0, 0.0, 0.0], 1.0), SMALL, backend="torch", device=device)
-
-
-def test_a_processor_of_graphics_gives_the_same_image() -> None:
-    torch = pytest.importorskip("torch")
-    if not torch.cuda.is_available():
-        pytest.skip("no CUDA device")
-    h = echoes([[0.5, 0.3, 0.0], [-1.0, 0.6, 0.0]], [1.0, 2j])
-    there = back_project(h, GRID, backend="torch", device="cuda").pixels
-    np.testing.assert_allclose(there, back_project(h, GRID).pixels, atol=1e-5)
-
-
-def test_torch_missing_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "torch", None)
-    with pytest.raises(PluginUnavailableError, match=r"featreg\[torch\]"):
-        back_project(echoes([0.0, 0.0, 0.0], 1.0), SMALL, backend="torch")
 
 
 def test_threads_change_no_bit() -> None:
