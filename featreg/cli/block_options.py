@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from featreg.cli.options import check_folder, number, saying_when_interrupted, whole_number
+from featreg.cli.checking import check_folder, number, whole_number
+from featreg.cli.progress import saying_when_interrupted
 from featreg.errors import InputError, ParameterError
 
 if TYPE_CHECKING:

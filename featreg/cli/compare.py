@@ -12,7 +12,8 @@ from featreg.cli import comparison_options, completion
 from featreg.cli.block_options import SceneOptions
 from featreg.cli.comparison_options import OutputOptions, RunOptions
 from featreg.cli.option_sets import offered, takes
-from featreg.cli.options import MethodOptions, parse_settings
+from featreg.cli.options import MethodOptions
+from featreg.cli.settings import parse_settings
 from featreg.errors import FeatregError, ParameterError
 
 if TYPE_CHECKING:

@@ -13,16 +13,9 @@ import typer
 
 from featreg.cli import completion
 from featreg.cli.block_options import SceneOptions, check_resume
-from featreg.cli.options import (
-    MethodOptions,
-    announce_compiling,
-    check_name,
-    check_output,
-    counter,
-    number,
-    saying_when_interrupted,
-    whole_number,
-)
+from featreg.cli.checking import check_name, check_output, number, whole_number
+from featreg.cli.options import MethodOptions
+from featreg.cli.progress import announce_compiling, counter, saying_when_interrupted
 from featreg.cli.terminal import print_styled, terminal_width
 from featreg.errors import FeatregError, InputError, ParameterError
 from featreg.pipeline.keywords import bands_of

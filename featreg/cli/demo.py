@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from featreg.cli.options import COMPILING, check_folder, progress
+from featreg.cli.checking import check_folder
+from featreg.cli.progress import COMPILING, progress
 from featreg.cli.simulate import write_images, write_truth
 
 if TYPE_CHECKING:

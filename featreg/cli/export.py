@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from featreg.cli import completion
-from featreg.cli.options import check_name, check_output
+from featreg.cli.checking import check_name, check_output
 from featreg.cli.result_options import ReferenceOption, SecondaryOption
 
 #: Held beside `featreg.exports.formats` by a test, so that help needs no import of it.

@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from featreg.cli import completion
-from featreg.cli.options import BandOption, check_name, check_output, counter, number, progress, whole_number
+from featreg.cli.checking import check_name, check_output, number, whole_number
+from featreg.cli.options import BandOption
+from featreg.cli.progress import counter, progress
 from featreg.errors import InputError, ParameterError
 from featreg.runtime.threads import limited_threads
 

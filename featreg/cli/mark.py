@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from featreg.cli.options import check_output, whole_number
+from featreg.cli.checking import check_output, whole_number
 
 
 def mark(

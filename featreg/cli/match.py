@@ -13,20 +13,12 @@ import typer
 
 from featreg.cli import completion
 from featreg.cli.block_options import BlockOptions, image_to_draw, kept_when_interrupted, may_be_blocks
+from featreg.cli.checking import STDOUT, check_output, distance, whole_number
 from featreg.cli.match_summary import summary
 from featreg.cli.option_sets import takes
-from featreg.cli.options import (
-    STDOUT,
-    MaskOptions,
-    MethodOptions,
-    announce_compiling,
-    check_output,
-    counter,
-    distance,
-    parse_settings,
-    progress,
-    whole_number,
-)
+from featreg.cli.options import MaskOptions, MethodOptions
+from featreg.cli.progress import announce_compiling, counter, progress
+from featreg.cli.settings import parse_settings
 from featreg.errors import InputError, ParameterError
 from featreg.io.source_names import parse_source
 from featreg.pipeline.keywords import KEYWORDS, bands_of

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from featreg.cli.checking import STDOUT, check_folder
 from featreg.cli.match_summary import figures, one_line
-from featreg.cli.options import STDOUT, announce_compiling, check_folder, saying_when_interrupted
+from featreg.cli.progress import announce_compiling, saying_when_interrupted
 from featreg.cli.terminal import print_styled
 from featreg.errors import FeatregError, InputError, ParameterError
 

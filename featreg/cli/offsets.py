@@ -8,16 +8,10 @@ from typing import Annotated
 import typer
 
 from featreg.cli.block_options import ClusterOptions, kept_when_interrupted
+from featreg.cli.checking import check_output, distance, whole_number
 from featreg.cli.option_sets import takes
-from featreg.cli.options import (
-    MaskOptions,
-    ReadingOptions,
-    announce_compiling,
-    check_output,
-    counter,
-    distance,
-    whole_number,
-)
+from featreg.cli.options import MaskOptions, ReadingOptions
+from featreg.cli.progress import announce_compiling, counter
 from featreg.runtime.threads import limited_threads
 
 

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from featreg.cli import completion
-from featreg.cli.options import check_folder, check_name, counter, number, progress, whole_number
+from featreg.cli.checking import check_folder, check_name, number, whole_number
+from featreg.cli.progress import counter, progress
 from featreg.errors import InputError, ParameterError
 
 if TYPE_CHECKING:

@@ -12,17 +12,11 @@ import typer
 
 from featreg.cli import completion
 from featreg.cli.block_options import ClusterOptions
+from featreg.cli.checking import check_folder, check_output, whole_number
 from featreg.cli.option_sets import takes
-from featreg.cli.options import (
-    MethodOptions,
-    announce_compiling,
-    check_folder,
-    check_output,
-    counter,
-    parse_settings,
-    saying_when_interrupted,
-    whole_number,
-)
+from featreg.cli.options import MethodOptions
+from featreg.cli.progress import announce_compiling, counter, saying_when_interrupted
+from featreg.cli.settings import parse_settings
 from featreg.errors import InputError, ParameterError
 from featreg.pipeline.keywords import KEYWORDS
 from featreg.presets import DEFAULT_METHOD

@@ -10,7 +10,8 @@ from featreg.cli import comparison_options, completion
 from featreg.cli.block_options import SceneOptions
 from featreg.cli.comparison_options import OutputOptions, RunOptions
 from featreg.cli.option_sets import offered, takes
-from featreg.cli.options import MethodOptions, parse_settings, parse_value
+from featreg.cli.options import MethodOptions
+from featreg.cli.settings import parse_settings, parse_value
 from featreg.errors import ParameterError
 from featreg.pipeline.keywords import BY_NAME
 from featreg.presets import DEFAULT_METHOD

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from featreg.cli.options import check_output
+from featreg.cli.checking import check_output
 from featreg.cli.result_options import ReferenceOption, SecondaryOption
 
 

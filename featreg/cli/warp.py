@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from featreg.cli import completion
-from featreg.cli.options import NodataOption, check_name, check_output, counter, whole_number
+from featreg.cli.checking import check_name, check_output, whole_number
+from featreg.cli.options import NodataOption
+from featreg.cli.progress import counter
 from featreg.runtime.threads import limited_threads
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ import pytest
 
 from featreg._version import __version__
 from featreg.cli import main as cli
-from featreg.cli.options import parse_settings
+from featreg.cli.settings import parse_settings
 from featreg.errors import ParameterError
 
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")

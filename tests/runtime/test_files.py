@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from featreg.cli.options import check_output
+from featreg.cli.checking import check_output
 from featreg.errors import InputError
 from featreg.io.writers import replacing, write_geotiff
 from featreg.results.json_file import write_registration
