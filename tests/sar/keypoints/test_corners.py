@@ -26,7 +26,7 @@ def scores(picture: U8, threshold: int) -> U8:
 
 
 def opencv(picture: U8, threshold: int, suppress: bool) -> list[Any]:
-    fast = cv2.FastFeatureDetector_create(threshold, suppress, cv2.FAST_FEATURE_DETECTOR_TYPE_9_16)
+    fast = cv2.FastFeatureDetector.create(threshold, suppress, cv2.FAST_FEATURE_DETECTOR_TYPE_9_16)
     return list(fast.detect(picture))
 
 
@@ -58,7 +58,7 @@ def test_some_rows_can_be_asked_for() -> None:
 
 
 def test_the_highest_are_the_first_of_all_in_their_order() -> None:
-    picture = cv2.resize(random_picture(), (400, 300))
+    picture = np.asarray(cv2.resize(random_picture(), (400, 300)), np.uint8)
     allowed = np.ones(picture.shape, np.bool_)
     xy, score = fast_corners(picture, 5, allowed, picture.size)
     order = np.lexsort((xy[:, 1] * picture.shape[1] + xy[:, 0], -score.astype(int)))
