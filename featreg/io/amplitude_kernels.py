@@ -19,8 +19,8 @@ def _row(samples: NDArray[Any], nodata: np.float32, pixels: NDArray[np.float32],
     # Three loops: as one, which compares floating-point numbers and writes bytes, it becomes no vector code.
     count, right = np.int32(0), np.int32(0)
     for k in range(samples.shape[0]):
-        right += np.int32((samples[k] >= 0) & (samples[k] <= LARGEST))
-        count += np.int32(samples[k] != nodata)
+        right = np.int32(right + np.int32((samples[k] >= 0) & (samples[k] <= LARGEST)))
+        count = np.int32(count + np.int32(samples[k] != nodata))
     for k in range(samples.shape[0]):
         pixels[k] = samples[k] if samples[k] != nodata else np.float32(0)
     for k in range(samples.shape[0]):

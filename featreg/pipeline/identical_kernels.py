@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from featreg.runtime.jit import compiled
+from featreg.runtime.jit import compiled, disjoint
 from featreg.sar.speckle_kernels import logarithms
 from featreg.types import BoolArray
 
@@ -22,6 +22,19 @@ WHITE_BOTH, WHITE_EITHER, GREY_BOTH, GREY_EITHER = 16, 32, 64, 128
 AROUND = 7
 
 
+@disjoint
+def _survey_row(one: F32, other: F32, good: BoolArray, before: F32, after: F32) -> int:
+    """How many valid pixels of two rows are equal; the higher ones of `before` and of both rows go to `after`."""
+    count = np.int32(0)
+    for x in range(one.shape[0]):
+        a, b = one[x], other[x]
+        more = (a if a > b else b) * np.float32(good[x])
+        # In place it would be written only where it is higher, by slow instructions.
+        after[x] = more if more > before[x] else before[x]
+        count = np.int32(count + np.int32((a == b) & good[x]))
+    return int(count)
+
+
 @compiled
 def surveyed(first: F32, second: F32, mask: BoolArray, highest: F32) -> int:
     """Return how many valid pixels of two images (H, W) are equal; `highest` (W,) are filled with those of columns.
@@ -29,16 +42,12 @@ def surveyed(first: F32, second: F32, mask: BoolArray, highest: F32) -> int:
     It is the highest of both images, 0 in columns without a valid pixel.
     """
     total = 0
-    highest[:] = np.float32(0)
+    turns = np.zeros((2, highest.shape[0]), np.float32)
     for y in range(first.shape[0]):
-        one, other, good = first[y], second[y], mask[y]
-        count = np.int32(0)
-        for x in range(one.shape[0]):
-            a, b = one[x], other[x]
-            more = (a if a > b else b) * np.float32(good[x])
-            highest[x] = more if more > highest[x] else highest[x]
-            count += np.int32((a == b) & good[x])
-        total += int(count)
+        total += _survey_row(first[y], second[y], mask[y], turns[y % 2], turns[(y + 1) % 2])
+    last = turns[first.shape[0] % 2]
+    for x in range(highest.shape[0]):
+        highest[x] = last[x]
     return total
 
 
@@ -117,7 +126,7 @@ def _compared(
     for x in range(np.uint64(shared.shape[0])):
         looked = np.uint8((bits[row + x] & bit) != np.uint8(0)) & np.uint8(shared[x] >= least)
         out[row + x] = looked
-        some += np.int32(looked)
+        some = np.int32(some + np.int32(looked))
     if some == 0:
         return
     outlines = likes = np.int32(0)
@@ -125,8 +134,8 @@ def _compared(
         looked, thin = out[row + x], np.uint8(shared[x] <= outline)
         alike = looked & np.uint8(np.float32(shared[x]) >= share * np.float32(total[x]))
         out[row + x] = alike
-        outlines += np.int32(looked & thin)
-        likes += np.int32(alike & thin)
+        outlines = np.int32(outlines + np.int32(looked & thin))
+        likes = np.int32(likes + np.int32(alike & thin))
     counts[0] += outlines
     counts[1] += likes
 

@@ -13,9 +13,10 @@ def fast_log(value: np.float32) -> np.float32:
 
     Written without branches and calls so that a loop around it becomes vector code.
     """
+    # Numbers of 32 bits become 64 in every sum unless they are brought back: half as many at a time.
     bits = np.float32(value).view(np.int32)
-    exponent = (bits - np.int32(0x3F3504F3)) >> np.int32(23)
-    m = np.int32(bits - (exponent << np.int32(23))).view(np.float32) - np.float32(1)
+    exponent = np.int32(np.int32(bits - np.int32(0x3F3504F3)) >> np.int32(23))
+    m = np.int32(bits - np.int32(exponent << np.int32(23))).view(np.float32) - np.float32(1)
     p = np.float32(0.20491759) + m * (np.float32(-0.18680751) + m * np.float32(0.11931054))
     p = np.float32(0.33314675) + m * (np.float32(-0.24908289) + m * p)
     p = np.float32(1.00000095) + m * (np.float32(-0.50001144) + m * p)

@@ -17,7 +17,7 @@ PART = 1 << 16
 def _between(part: F32, low: np.float32, high: np.float32) -> np.int32:
     count = np.int32(0)
     for k in range(part.shape[0]):
-        count += np.int32((part[k] > low) & (part[k] < high))
+        count = np.int32(count + np.int32((part[k] > low) & (part[k] < high)))
     return count
 
 

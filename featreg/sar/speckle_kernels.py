@@ -17,7 +17,8 @@ U8 = NDArray[np.uint8]
 def filled(amplitude: F32, valid: U8, value: np.float32, out: F32) -> None:
     """Copy flat `amplitude` to `out`, with `value` where `valid` is 0."""
     for i in range(out.shape[0]):
-        out[i] = amplitude[i] if valid[i] != 0 else value
+        here = amplitude[i]
+        out[i] = here if valid[i] != 0 else value
 
 
 @compiled
