@@ -222,16 +222,32 @@ LEARNED = {
     "batch": option(1, Ge(1), meaning="so many parts go through the network at once"),
     **COMMON,
 }
+# What each takes for a pixel was measured as the peak of a process over that of a small image, on images of 792 and
+# 1192 px a side, or of parts of them.
 TABLE: dict[str, KorniaRow] = {
     "kornia-harris": KorniaRow(
-        "CornerHarris", "Harris corners in scale space, by kornia", {"k": option(0.04, Ge(0)), **PYRAMID}, _scale_space
+        "CornerHarris",
+        "Harris corners in scale space, by kornia",
+        {"k": option(0.04, Ge(0)), **PYRAMID},
+        _scale_space,
+        pixel_bytes=1900,
     ),
-    "kornia-gftt": KorniaRow("CornerGFTT", "Shi-Tomasi corners in scale space, by kornia", PYRAMID, _scale_space),
+    "kornia-gftt": KorniaRow(
+        "CornerGFTT", "Shi-Tomasi corners in scale space, by kornia", PYRAMID, _scale_space, pixel_bytes=1900
+    ),
     "kornia-hessian": KorniaRow(
-        "BlobHessian", "Blobs: maxima of the determinant of the Hessian, by kornia", PYRAMID, _scale_space
+        "BlobHessian",
+        "Blobs: maxima of the determinant of the Hessian, by kornia",
+        PYRAMID,
+        _scale_space,
+        pixel_bytes=1900,
     ),
     "kornia-dog": KorniaRow(
-        "BlobDoG", "Blobs: extrema of the difference of Gaussians, by kornia", PYRAMID, _scale_space
+        "BlobDoG",
+        "Blobs: extrema of the difference of Gaussians, by kornia",
+        PYRAMID,
+        _scale_space,
+        pixel_bytes=1200,
     ),
     "kornia-keynet": KorniaRow(
         "KeyNetDetector",
@@ -246,6 +262,7 @@ TABLE: dict[str, KorniaRow] = {
         _keynet,
         lambda values: ("keynet_pytorch.pth",),
         "huggingface.co/kornia/keynet",
+        pixel_bytes=700,
     ),
     "kornia-disk": KorniaRow(
         "DISK",
@@ -260,6 +277,7 @@ TABLE: dict[str, KorniaRow] = {
         _disk,
         lambda values: (f"{values['checkpoint']}-save.pth",),
         "huggingface.co/kornia/disk",
+        pixel_bytes=2500,
     ),
     "kornia-aliked": KorniaRow(
         "ALIKED",
@@ -274,6 +292,7 @@ TABLE: dict[str, KorniaRow] = {
         _aliked,
         lambda values: (f"{values['model']}.pth",),
         "huggingface.co/kornia/aliked",
+        pixel_bytes=2000,
     ),
     "kornia-xfeat": KorniaRow(
         "XFeat",
@@ -282,6 +301,7 @@ TABLE: dict[str, KorniaRow] = {
         _xfeat,
         lambda values: ("xfeat.pt",),
         "github.com/verlab/accelerated_features",
+        pixel_bytes=200,
     ),
     "kornia-dedode": KorniaRow(
         "DeDoDe",
@@ -334,6 +354,16 @@ class KorniaDetector(KorniaMember, Detector):
             if "describe" in values:
                 return features if values["describe"] else replace(features, descriptors=None)
             return _oriented(features, tensor, values)
+
+    def window_bytes(self, shape: tuple[int, int]) -> float:
+        """For all pixels of the image, or of the parts that go through a network together."""
+        values = self.parameters
+        height, width = shape
+        if "tile" in values:
+            tall, wide = ([part[1].stop - part[1].start for part in parts(n, values["tile"])] for n in shape)
+            height, width = max(tall), max(wide) * min(values["batch"], len(tall) * len(wide))
+        doubled = 1.0 if values.get("double_image", True) else 0.25
+        return self.table[self.name].pixel_bytes * height * width * doubled
 
     def _framed(self, network: Any, tensor: Any, values: Mapping[str, Any]) -> Features:
         """Upright frames of every candidate."""

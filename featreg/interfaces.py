@@ -81,6 +81,13 @@ class Detector(Plugin):
         """
         return REACH
 
+    def window_bytes(self, shape: tuple[int, int]) -> float:
+        """Memory that finding keypoints in an image of (H, W) takes at most; 0 where that is a few maps of its size.
+
+        Blocks of a scene are no larger than that they take little.
+        """
+        return 0.0
+
     def form(self) -> tuple[str, int] | None:
         """Norm and length (numbers or bytes) of the descriptors that it returns, if it can tell without an image."""
         return None

@@ -55,11 +55,13 @@ class KorniaRow(Row):
         kornia downloads
     files : parameters -> names under which kornia keeps the weights it downloads; None: it needs none
     source : where these weights come from
+    pixel_bytes : memory that it takes for each pixel that it looks at, as measured; 0 where it is little
     """
 
     build: Callable[..., Any] = plain
     files: Callable[[Mapping[str, Any]], tuple[str, ...]] | None = None
     source: str = ""
+    pixel_bytes: float = 0.0
 
     @property
     def unavailable(self) -> str:

@@ -119,8 +119,7 @@ class FeatureMatcher(Matcher):
     def _share(self, *images: Image) -> float:
         """The share of their sides at which features are found in images."""
         # A detector may have a smaller budget of its own.
-        own = getattr(self.detector, "n_features", getattr(self.detector, "parameters", {}).get("n_features"))
-        wanted = self.pixels_per_feature * min(self.n_features, own or self.n_features)
+        wanted = self.pixels_per_feature * min(self.n_features, getattr(self.detector, "n_features", self.n_features))
         pixels = min(image.valid_count for image in images) if wanted else 0
         if not pixels:
             return 1.0

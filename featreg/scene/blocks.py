@@ -25,6 +25,8 @@ SPLITS = ("prior", "proportional")
 #: that is read, halo included, and 28 ms whatever its size: 103 ns for each of its own pixels at 600 px, 65 at 1000, 55
 #: at 1200. Beyond 1000 px the matches, so many a block, become too thin on pairs that have changed.
 ALONG, LARGEST = 5, 1000
+#: Memory that finding keypoints in the window of a block larger than `BLOCK` may take, bytes: each worker has its own.
+MEMORY = 1 << 30
 #: Smallest side: below it the halo is most of what is read.
 SMALLEST = 128
 #: The halo is a multiple of this, so that the levels of a pyramid begin alike.
@@ -54,11 +56,21 @@ def suitable_side(area: Window, pipeline: Pipeline, split: str = SPLITS[0]) -> i
 
     Where nothing is refined, the matches of the blocks are the tie points, so many a block, and the block is the small
     one; so it is where the scenes are divided as the paper does it, and for matchers that compare no features, of whose
-    work nothing is known: one may reduce larger windows, or take memory by the square of their pixels.
+    work nothing is known: one may reduce larger windows, or take memory by the square of their pixels. No block is so
+    large that finding its keypoints takes more than `MEMORY`, unless the small one does.
     """
-    if pipeline.refine is None or split == "proportional" or not isinstance(pipeline.matcher, FeatureMatcher):
+    matcher = pipeline.matcher
+    if pipeline.refine is None or split == "proportional" or not isinstance(matcher, FeatureMatcher):
         return BLOCK
-    return round(min(max(BLOCK, math.sqrt(area.size) / ALONG), LARGEST))
+    rim = 2 * halo_of(matcher, pipeline.locate, pipeline.refine)
+
+    def takes(side: int) -> float:
+        return matcher.detector.window_bytes((side + rim, side + rim))
+
+    most = max(MEMORY, takes(BLOCK))
+    # What networks look at part by part takes less at some larger sides.
+    sides = range(round(min(max(BLOCK, math.sqrt(area.size) / ALONG), LARGEST)), BLOCK, -1)
+    return next((side for side in sides if takes(side) <= most), BLOCK)
 
 
 def plan_blocks(area: Window, size: int = BLOCK) -> tuple[Block, ...]:

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-import numpy as np
+import math
 
+import numpy as np
+import pytest
+
+import featreg
 from featreg.io.raster_source import Window
 from featreg.pipeline.assembly import assemble
-from featreg.scene.blocks import Block, middle_of, plan_blocks, spread_out, suitable_side
+from featreg.pipeline.feature_matcher import FeatureMatcher
+from featreg.scene.blocks import MEMORY, Block, halo_of, middle_of, plan_blocks, spread_out, suitable_side
 from featreg.scene.task import (
     refined_points,
 )
@@ -47,6 +52,33 @@ def test_large_scenes_have_larger_blocks_and_as_many_refined_points() -> None:
     assert suitable_side(large, patches) == 600
     assert suitable_side(large, refined, "proportional") == 600
     assert [refined_points(Window(0, 0, side, side)) for side in (200, 600, 1200)] == [64, 64, 256]
+
+
+def test_no_larger_block_takes_much_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    pipeline, large = assemble("sar-orb", blocks=True, refine=True), Window(0, 0, 11_000, 10_000)
+    matcher = pipeline.matcher
+    assert isinstance(matcher, FeatureMatcher)
+    rim = 2 * halo_of(matcher, pipeline.locate, pipeline.refine)
+    sides = {}
+    for pixel in (500.0, 1000.0, 5000.0):
+        monkeypatch.setattr(
+            type(matcher.detector), "window_bytes", lambda _, shape, pixel=pixel: pixel * shape[0] * shape[1]
+        )
+        sides[pixel] = suitable_side(large, pipeline)
+    assert sides == {500.0: 1000, 1000.0: math.isqrt(MEMORY // 1000) - rim, 5000.0: 600}
+
+
+def test_what_is_looked_at_part_by_part_takes_the_memory_of_a_part() -> None:
+    pytest.importorskip("kornia")
+    network = featreg.create("detector", "kornia-aliked")
+    small, whole, parted = (network.window_bytes((side, side)) for side in (792, 1024, 1192))
+    assert parted < small < whole
+    assert whole == pytest.approx(small * (1024 / 792) ** 2)
+    two = featreg.create("detector", "kornia-aliked", batch=2)
+    assert two.window_bytes((1192, 1192)) == 2 * parted
+    assert two.window_bytes((792, 792)) == small
+    doubled, plain = (featreg.create("detector", "kornia-hessian", double_image=d) for d in (True, False))
+    assert doubled.window_bytes((800, 900)) == 4 * plain.window_bytes((800, 900)) > 0
 
 
 def test_a_pilot_block_is_the_middle_of_a_large_block() -> None:
