@@ -225,3 +225,15 @@ def test_a_wide_pair_shows_one_texture_under_its_truth(tmp_path: Path, monkeypat
     assert np.abs(back[inner] / images[0][inner] - 1).mean() < 0.01
     assert np.abs(images[1][inner] / images[0][inner] - 1).mean() > 0.05
     assert wide_pair.wide_pair(tmp_path, (300, 420)) == place
+
+
+def test_both_windows_of_a_hard_pair_show_one_scene_under_its_truth() -> None:
+    from hard_pairs import cut
+
+    whole = landscape(600, 5).astype(np.float32)
+    one, other, truth = cut(np.random.default_rng(3), whole, (200, 160), (1e6, 1e6), common=(0.4, 0.5))
+    there = cv2.warpAffine(one, truth, (160, 200), flags=cv2.INTER_LINEAR, borderValue=-1000.0)
+    both = cv2.erode((there > 0).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    assert 0.3 < both.mean() < 0.6
+    np.testing.assert_allclose(there[both], other[both], atol=5)
+    assert np.ptp(other[both]) > 50
