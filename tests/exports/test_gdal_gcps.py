@@ -40,13 +40,17 @@ def made(folder: Path, place: Geolocation, points: int = 60) -> tuple[Registrati
     return Registration(found, {}, np.ones(points, bool), MOVE, "ok", **images), secondary
 
 
+@pytest.fixture(scope="module")
+def rpc() -> dict[str, Any]:
+    orbit = RangeDoppler.over((12.0, 47.0), SHAPE, incidence_deg=35.0, heading_deg=-12.0, pixel=3.0)
+    return dict(orbit.rpc(SHAPE, 0.0, 1000.0, 15.0).rpcs)
+
+
 @pytest.mark.parametrize("suffix", [".tif", ".vrt"])
 @pytest.mark.parametrize("located", ["transform", "rpc", "both"])
-def test_gdal_warps_by_the_control_points(suffix: str, located: str, tmp_path: Path) -> None:
+def test_gdal_warps_by_the_control_points(suffix: str, located: str, rpc: dict[str, Any], tmp_path: Path) -> None:
     from rasterio.warp import reproject
 
-    orbit = RangeDoppler.over((12.0, 47.0), SHAPE, incidence_deg=35.0, heading_deg=-12.0, pixel=3.0)
-    rpc = dict(orbit.rpc(SHAPE, 0.0, 1000.0, 15.0).rpcs)
     own = Geolocation(WRONG if located != "rpc" else None, UTM if located != "rpc" else None,
                       None if located == "transform" else rpc)  # fmt: skip
     result, _ = made(tmp_path, own)

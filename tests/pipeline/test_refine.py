@@ -128,12 +128,8 @@ def test_a_strip_in_a_frame_is_filled_up_as_it_is_alone() -> None:
     framed = Refine().run(
         as_image(made.reference, mask=strip), as_image(made.secondary), near(made.truth), Matches.empty(), 600
     )
-    alone = Refine().run(
-        *(as_image(image[200:380]) for image in (made.reference, made.secondary)),
-        near(made.truth),
-        Matches.empty(),
-        600,
-    )
+    here, there = (as_image(image[200:380]) for image in (made.reference, made.secondary))
+    alone = Refine().run(here, there, near(made.truth), Matches.empty(), 600)
     assert len(alone.matches) > 300
     assert len(framed.matches) > 0.9 * len(alone.matches)
 

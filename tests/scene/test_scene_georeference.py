@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -52,12 +53,16 @@ def test_beyond_the_limit_the_reason_names_the_search(scenes: Any) -> None:
     assert result.provenance["prior"]["searched_px"] == SEARCH_PX[-1]
 
 
-def high(pixels: NDArray[np.float32], offset: float = 4200.0) -> tuple[Any, Any]:
-    """High ground from an ascending and a descending orbit; the RPCs hold within 100 m of `offset`."""
-    shape = pixels.shape[0], pixels.shape[1]
+@functools.cache
+def places_of(shape: tuple[int, int], offset: float) -> list[Geolocation]:
     view: dict[str, Any] = {"incidence_deg": 35.0, "pixel": 3.0, "height": offset}
     orbits = [RangeDoppler.over((90.0, 32.0), shape, heading_deg=heading, **view) for heading in (-12.0, 192.0)]
-    places = [Geolocation(rpcs=dict(o.rpc(shape, offset - 100, offset + 100, 15.0).rpcs)) for o in orbits]
+    return [Geolocation(rpcs=dict(o.rpc(shape, offset - 100, offset + 100, 15.0).rpcs)) for o in orbits]
+
+
+def high(pixels: NDArray[np.float32], offset: float = 4200.0) -> tuple[Any, Any]:
+    """High ground from an ascending and a descending orbit; the RPCs hold within 100 m of `offset`."""
+    places = places_of((pixels.shape[0], pixels.shape[1]), offset)
     image = as_image(np.ascontiguousarray(pixels))
     return replace(image, geolocation=places[0]), replace(image, geolocation=places[1])
 
