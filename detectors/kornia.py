@@ -223,7 +223,7 @@ LEARNED = {
     **COMMON,
 }
 # What each takes for a pixel was measured as the peak of a process over that of a small image, on images of 792 and
-# 1192 px a side, or of parts of them.
+# 1192 px a side, or of parts of them; DeDoDe's on 448 px, Harris' taken from the like of it.
 TABLE: dict[str, KorniaRow] = {
     "kornia-harris": KorniaRow(
         "CornerHarris",
@@ -316,6 +316,7 @@ TABLE: dict[str, KorniaRow] = {
         _dedode,
         _dedode_files,
         "huggingface.co/kornia/dedode",
+        pixel_bytes=4000,
     ),
 }
 
