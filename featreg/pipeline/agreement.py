@@ -158,7 +158,7 @@ class Agreement:
         there, valid = sampled(secondary, views[1], nodes, zoom, size, step, usable(reference, without), without)
         if np.count_nonzero(valid) < (2 * HALF + 1) ** 2:
             return None
-        here = np.ascontiguousarray(views[0].pixels[1::2, 1::2][: size[1], : size[0]])
+        here = views[0].pixels[1::2, 1::2][: size[1], : size[0]]
         return cls(*contrasts(here, there, valid), valid, step)
 
     @cached_property

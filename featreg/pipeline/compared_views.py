@@ -140,7 +140,7 @@ def contrasts(here: F32, there: F32, valid: BoolArray) -> tuple[F32, F32]:
     import cv2
 
     whole, height = bool(valid.all()), here.shape[0]
-    first, second = np.empty_like(here), np.empty_like(there)
+    first, second = np.empty(here.shape, np.float32), np.empty(here.shape, np.float32)
 
     def part(top: int, bottom: int) -> None:
         above = max(top - SHADING_REACH, 0)
@@ -150,7 +150,7 @@ def contrasts(here: F32, there: F32, valid: BoolArray) -> tuple[F32, F32]:
             weight = valid[rows].astype(np.float32)
             per = weight[inner] / np.maximum(cv2.GaussianBlur(weight, (0, 0), SHADING)[inner], 1e-6)
         for view, out in ((here, first), (there, second)):
-            shown = view[rows] if whole else view[rows] * weight
+            shown = np.ascontiguousarray(view[rows]) if whole else view[rows] * weight
             mean = cv2.GaussianBlur(shown, (0, 0), SHADING)[inner]
             out[top:bottom] = shown[inner] - (mean if whole else mean * per)
 

@@ -174,6 +174,8 @@ class _Team:
         self._sleepers: list[_Sleeper] = []
         self._helpers: list[threading.Thread] = []
         self._over = False
+        #: How many jobs have not ended.
+        self.at_work = 0
 
     def run(self, work: Sequence[Callable[[], T]], divided: bool) -> list[T]:
         """What functions return, in order; the first error that one of them raises.
@@ -192,6 +194,7 @@ class _Team:
                 break
             self._helpers.append(helper)
         with self._lock:
+            self.at_work += 1
             self._open.append(job)
             self._wake(job, helpers)
         try:
@@ -200,6 +203,7 @@ class _Team:
                 self._once(waits_for=job)
         finally:
             with self._lock:
+                self.at_work -= 1
                 self._close(job)
         return job.results()
 
@@ -368,9 +372,12 @@ def use_one_thread() -> None:
 
 
 def end_helpers() -> None:
-    """End the threads that wait for work here, so that this process may be forked; later work starts them again."""
+    """End the threads that wait for work here, so that this process may be forked; later work starts them again.
+
+    Where it is itself part of what they do, they stay.
+    """
     team = _team.get()
-    if team is not None:
+    if team is not None and not team.at_work:
         team.dismiss()
 
 

@@ -103,6 +103,9 @@ def test_work_runs_side_by_side_only_where_threads_were_asked_for(monkeypatch: p
         end_helpers()
         assert threading.active_count() == before
         assert side_by_side([int, str]) == [0, ""]
+        # What they do may ask for it too.
+        assert side_by_side([end_helpers] * 9) == [None] * 9
+        assert threading.active_count() == before + 1
         assert len({*side_by_side([later] * 9, threads.LEAST - 1)}) == 1
     assert threading.active_count() == before
 
