@@ -1,6 +1,7 @@
 """Methods on pairs with a known warp: how many correct matches, how good a model, in what time.
 
-    python benchmarks/pairs.py [--features 5000] [--simulated 3] [--rounds 3] [--seed 0] [--methods a,b+refine] [--all]
+    python benchmarks/pairs.py [--features 5000] [--simulated 3] [--draws 1] [--rounds 3] [--seed 0] [--all]
+                               [--methods a,b+refine]
 
 Real pairs come from the folder that FEATREG_DATA names; simulated ones are always run. "+refine" scores the final tie
 points of a refined result; without it, the matches that the method's local filter kept, as in the published tables.
@@ -121,6 +122,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--features", type=int, default=5000)
     parser.add_argument("--simulated", type=int, default=3, help="how many simulated pairs")
+    parser.add_argument("--draws", type=int, default=1, help="warps of each real pair")
     parser.add_argument("--rounds", type=round_count, default=3)
     parser.add_argument("--seed", type=int, default=0, help="of the warps and of the methods")
     parser.add_argument("--methods", default=METHODS)
@@ -129,7 +131,7 @@ def main() -> None:
     methods = [name for name in given.methods.split(",") if name]
     rng = np.random.default_rng(given.seed)
     groups: dict[str, list[Pair]] = {}
-    for pair in real_pairs(rng, 8, 0.03, 15, small=given.all):
+    for pair in (one for _ in range(given.draws) for one in real_pairs(rng, 8, 0.03, 15, small=given.all)):
         groups.setdefault({"stack": "Sentinel-1 stack", "floods": "floods"}.get(pair.place, "bitemporal"), []).append(
             pair
         )
