@@ -27,7 +27,7 @@ def share_taken_up(model: Model, reference_xy: FloatArray, secondary_xy: FloatAr
     Returns
     -------
     float
-        0 to 0.5; 0 for a model without known derivatives
+        0 to 0.5; 0 for a model without known derivatives, and for points that do not determine one
 
     Notes
     -----

@@ -21,6 +21,9 @@ PIECES = 12
 ALIKE = 10.0
 #: Fewest blocks of equal weight that a window is taken to have.
 FEWEST = 2.0
+#: The scatter that windows have in common is at least so large a share of that of white noise of one sample: a pair
+#: without any noise is known as far as its numbers are.
+LEAST_SCATTER = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +51,7 @@ def peak_covariances(parts: Sequence[Part], xy: FloatArray, values: F32, seen: P
     parts : what the surfaces are of
     xy : (N, 2) float64 centres of the windows, samples
     values : (N, K, K) surfaces, the weighted mean of the parts' correlation coefficients
-    seen : their sound peaks
+    seen : their peaks, sound ones of positive height
 
     Notes
     -----
@@ -155,7 +158,7 @@ def _local(scatter: Scatter, curvature: FloatArray, height: FloatArray) -> tuple
     # Of white noise S is so many times H.
     white = np.maximum(1 - height**2, 1e-6) / height
     own = np.einsum("nij,nji->n", scatter.variance, inverse) / 2
-    share = float(np.sum(scatter.blocks * own / white) / np.sum(scatter.blocks))
+    share = max(float(np.sum(scatter.blocks * own / white) / np.sum(scatter.blocks)), LEAST_SCATTER)
     told = scatter.blocks - 1
     common = (share * white)[:, None, None] * curvature
     variance = (told[:, None, None] * scatter.variance + ALIKE * common) / (told + ALIKE)[:, None, None]

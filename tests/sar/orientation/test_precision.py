@@ -108,6 +108,20 @@ def test_a_rival_peak_widens_the_covariance_towards_itself() -> None:
     assert np.median(more[:, 0, 0] / np.abs(more[:, 1, 1])) > 30
 
 
+def test_a_pair_without_noise_is_known_well_but_not_without_end() -> None:
+    # Alike on all sides of its peak: not even the rim of the window scatters.
+    row = np.exp(-((np.arange(60) - 30.0) ** 2) / 8)
+    field = np.stack([np.outer(row, row), np.zeros((60, 60))], axis=-1).astype(np.float32)
+    xy = np.array([[29.5, 29.5]])
+    values = surfaces(field, field, xy)
+    seen = peaks(values.astype(np.float64))
+    assert seen.sound.all()
+    with np.errstate(all="raise", under="ignore"):
+        (covariance,) = peak_covariances([Part(field, field, SIDE)], xy, values, seen)
+    smallest, largest = np.linalg.eigvalsh(covariance)
+    assert 0 < smallest <= largest < 1e-6
+
+
 def test_no_window_gives_no_covariance() -> None:
     values = np.zeros((0, 13, 13), np.float32)
     field = np.zeros((60, 60, 2), np.float32)
