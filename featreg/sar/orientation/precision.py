@@ -67,7 +67,8 @@ def peak_covariances(parts: Sequence[Part], xy: FloatArray, values: F32, seen: P
 
     Speckle lets a window choose another peak than the right one. Taken as the logarithm of a likelihood, the
     correlation over k = tr(S H^-1) / 2 has at its peak the curvature that belongs to S. The covariance is that of
-    the displacement under this likelihood, about the peak, over all that was searched (Chernozhukov and Hong 2003).
+    the displacement under this likelihood, about the peak, over all that was searched (Chernozhukov and Hong 2003);
+    the peak itself has its Gaussian integral and H^-1 S H^-1, what is more than a sample off counts sample by sample.
 
     References
     ----------

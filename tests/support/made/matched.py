@@ -16,7 +16,7 @@ def matched(pair: SimulatedPair, **keywords: Any) -> Registration:
 
 
 def assert_same_bits(a: Registration, b: Registration) -> None:
-    for name in ("reference_xy", "secondary_xy", "score", "origin"):
+    for name in ("reference_xy", "secondary_xy", "score", "covariance", "origin", "rotation", "scale_ratio"):
         np.testing.assert_array_equal(getattr(a.matches, name), getattr(b.matches, name))
     assert list(a.stages) == list(b.stages)
     for name, mask in a.stages.items():
