@@ -8,6 +8,7 @@ import numpy as np
 
 from featreg.errors import InputError
 from featreg.geolocation.rpc import RpcSensor
+from featreg.geometry.least_squares import least_squares
 from featreg.types import FloatArray
 
 #: Lattice nodes along longitude, latitude and height, and the largest error that is accepted, px.
@@ -35,7 +36,7 @@ def with_affine(sensor: RpcSensor, matrix: FloatArray) -> dict[str, Any]:
         wanted = (moved[:, axis] - made[f"{name}_off"]) / made[f"{name}_scale"]
         bottom = design @ made[f"{name}_den_coeff"]
         # Rows over the denominator, so that the residual is that of the quotient.
-        made[f"{name}_num_coeff"] = np.linalg.lstsq(design / bottom[:, None], wanted)[0].tolist()
+        made[f"{name}_num_coeff"] = least_squares(design / bottom[:, None], wanted)[0].tolist()
     check = lattice(*(np.linspace(-1, 1, n + 3) for n in NODES))
     truth = _projected(sensor, check) @ matrix[:, :2].T + matrix[:, 2]
     error = float(np.hypot(*(_projected(RpcSensor(made), check) - truth).T).max())
@@ -74,7 +75,7 @@ def fitted(
         ridge[:20] = 0.0
         for _ in range(4):
             rows = np.column_stack([design, -value[:, None] * design[:, 1:]]) / bottom[:, None]
-            solution = np.linalg.lstsq(np.vstack([rows, ridge]), np.concatenate([value / bottom, np.zeros(39)]))[0]
+            solution = least_squares(np.vstack([rows, ridge]), np.concatenate([value / bottom, np.zeros(39)]))[0]
             bottom = 1.0 + design[:, 1:] @ solution[20:]
         made[f"{name}_num_coeff"] = solution[:20].tolist()
         made[f"{name}_den_coeff"] = [1.0, *solution[20:].tolist()]

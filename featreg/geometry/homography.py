@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from featreg.errors import InputError
 from featreg.geometry.base import FLAT, GeneralMatrixModel, Normalised, coefficient_array, normalise
+from featreg.geometry.least_squares import triangle
 from featreg.interfaces import FailedFit
 from featreg.registry import register
 from featreg.types import FloatArray
@@ -142,7 +143,7 @@ def _direct_linear(n: Normalised) -> FloatArray | FailedFit:
     equations[1::2] = np.column_stack([zero, zero, zero, x, y, one, -v * x, -v * y, -v])
     equations *= np.repeat(np.sqrt(n.weights), 2)[:, None]
     # The triangular factor has the same right singular vectors and at most nine rows.
-    _, singular, basis = np.linalg.svd(np.linalg.qr(equations, mode="r"), full_matrices=True)
+    _, singular, basis = np.linalg.svd(triangle(equations), full_matrices=True)
     if singular[7] < FLAT * singular[0]:
         return FailedFit(
             f"the {m} points do not determine a homography (three of four on a line, or coincident): "

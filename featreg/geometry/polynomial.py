@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from featreg.errors import InputError
 from featreg.geometry.base import DerivedModel, coefficient_array, decompose, normalise
+from featreg.geometry.least_squares import least_squares
 from featreg.interfaces import FailedFit, Model
 from featreg.registry import register
 from featreg.types import FloatArray
@@ -50,7 +51,7 @@ class Polynomial(Model):
         root = np.sqrt(n.weights)[:, None]
         if not length.all():
             return FailedFit(f"the {len(terms)} reference points lie on a line")
-        solution, _, _, singular = np.linalg.lstsq(root * terms / length, root * n.secondary, rcond=None)
+        solution, singular = least_squares(root * terms / length, root * n.secondary)
         if singular[-1] * ILL < singular[0]:
             return FailedFit(
                 f"the {len(terms)} reference points do not determine {cls.minimum} terms (on a line or another curve "

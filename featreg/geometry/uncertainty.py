@@ -13,6 +13,7 @@ from featreg.errors import InputError
 from featreg.geometry.base import Normalised, normalise
 from featreg.geometry.corrected import CorrectedModel
 from featreg.geometry.homography import Homography
+from featreg.geometry.least_squares import triangle
 from featreg.geometry.matrix import Affine, Rigid, Similarity, Translation
 from featreg.geometry.polynomial import Polynomial, polynomial_terms
 from featreg.interfaces import FailedFit, Model
@@ -148,12 +149,12 @@ def prediction_covariance(
         given = 1.0 if weights is None else float(np.mean(np.asarray(weights, np.float64)[np.asarray(weights) > 0]))
         variance = sigma**2 / given
     rows = (design * np.sqrt(n.weights)[:, None, None]).reshape(2 * m, count)
-    triangle: FloatArray = np.asarray(np.linalg.qr(rows, mode="r"))
-    diagonal = np.abs(np.diag(triangle))
+    factor = triangle(rows)
+    diagonal = np.abs(np.diag(factor))
     if diagonal.min() <= 1e-12 * diagonal.max():
         return FailedFit(f"the {m} points do not determine the {count} parameters")
     there = derivatives(model, points.reshape(-1, 2), n)
-    root = np.linalg.solve(triangle.T, there.reshape(-1, count).T).T.reshape(there.shape)
+    root = np.linalg.solve(factor.T, there.reshape(-1, count).T).T.reshape(there.shape)
     return np.asarray(variance * root @ root.transpose(0, 2, 1)).reshape(*points.shape[:-1], 2, 2)
 
 

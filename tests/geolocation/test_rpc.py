@@ -13,9 +13,11 @@ from rasterio.rpc import RPC
 from rasterio.transform import RPCTransformer
 
 from featreg.errors import InputError
-from featreg.geolocation import RpcSensor
+from featreg.geolocation import RpcSensor, rpc_fit
 from featreg.geolocation.rpc_fit import terms
 from featreg.geolocation.sensor import METRES_PER_DEGREE
+from featreg.geometry.least_squares import least_squares
+from featreg.simulate import orbit as orbit_module
 from featreg.simulate.orbit import RangeDoppler
 from featreg.types import FloatArray
 
@@ -95,6 +97,23 @@ class TestRpcSensor:
     ) -> None:
         ground = exact.image_to_ground(*cloud)
         assert np.abs(rpc.ground_to_image(ground, cloud[1]) - cloud[0]).max() < 1e-3
+
+    def test_its_fit_is_the_least_squares_of_all_rows_at_once(
+        self, exact: RangeDoppler, cloud: tuple[FloatArray, FloatArray], monkeypatch: Any
+    ) -> None:
+        def plain(design: FloatArray, values: FloatArray) -> Any:
+            solution, _, _, singular = np.linalg.lstsq(design, values)
+            return solution, singular
+
+        # So few nodes that all rows at once do not keep the threads of a library waiting.
+        monkeypatch.setattr(orbit_module, "NODES", (7, 7, 4))
+        ground, errors = exact.image_to_ground(*cloud), []
+        for solver in (least_squares, plain):
+            monkeypatch.setattr(rpc_fit, "least_squares", solver)
+            found = exact.rpc(SHAPE, -200.0, 1000.0, 15.0).ground_to_image(ground, cloud[1])
+            errors.append(np.hypot(*(found - cloud[0]).T).max())
+        assert errors[0] < 2e-7
+        assert errors[0] < errors[1] + 1e-8
 
     def test_no_points_and_no_numbers(self, rpc: RpcSensor) -> None:
         assert rpc.image_to_ground(np.zeros((0, 2)), 0.0).shape == (0, 2)
