@@ -63,11 +63,12 @@ def source_digest(kernel: Source) -> str:
 
 def _read_by(kernel: Source) -> Iterator[bytes]:
     """A line for each function that a kernel consists of, and for each value that one of them reads."""
-    seen, left, files = {id(kernel)}, [kernel], {kernel.path}
+    seen, left = {id(kernel)}, [kernel]
+    codes: dict[Path, list[CodeType]] = {}
     while left:
         one: Any = left.pop()
         function = _function(one)
-        files.add(Path(function.__code__.co_filename))
+        codes.setdefault(Path(function.__code__.co_filename), []).append(function.__code__)
         here = f"{function.__module__}.{function.__qualname__}"
         how = [str(getattr(one, name, "")) for name in ("inline", "disjoint", "compact")]
         yield " ".join((here, *how)).encode()
@@ -80,11 +81,13 @@ def _read_by(kernel: Source) -> Iterator[bytes]:
             if id(value) not in seen:
                 seen.add(id(value))
                 left.append(value)
-    for path in files:
+    for path, typed in codes.items():
         try:
             yield _of_file(path)
         except OSError:  # typed in, or out of an archive
-            yield marshal.dumps(_function(kernel).__code__)
+            for code in typed:
+                # By later versions equal code may be told in other bytes: they name what is referred to more than once.
+                yield marshal.dumps(code, 2)
 
 
 def _function(value: Any) -> Any:

@@ -236,7 +236,8 @@ def current(kernel: Source) -> list[dict[str, Any]]:
         return []
     name = kernel.function.__name__
     of_name = [entry for entry in listed(kernel.path) if entry["kernel"] == name]
-    return [entry for entry in of_name if entry["source"] == _digest(kernel)]
+    # Without a digest nothing tells whether what lies there is of the kernel as it is.
+    return [entry for entry in of_name if entry["source"] and entry["source"] == _digest(kernel)]
 
 
 def left_to_numba() -> bool:

@@ -92,6 +92,18 @@ def test_a_kernel_that_was_typed_in_has_a_digest_of_its_code() -> None:
     assert "" not in digests
 
 
+def test_a_helper_that_was_typed_in_is_in_the_digest() -> None:
+    digests = []
+    for factor in (2, 2, 3):
+        scope: dict[str, Any] = {"__name__": "__main__"}
+        for name, text in (("helper", f"def helper(x):\n    return {factor} * x\n"), ("kernel", KERNEL)):
+            exec(compile(text, f"<{name}>", "exec"), scope)  # what stands above
+            scope[name] = jit.Kernel(scope[name], "never")
+        scope["values"] = ModuleType("values")
+        digests.append(source_digest(scope["kernel"]))
+    assert digests[0] == digests[1] != digests[2]
+
+
 def test_every_kernel_of_this_package_has_a_digest() -> None:
     kernels: list[Any] = [
         kernel for module in warming._kernel_modules() for kernel in warming._kernels(module).values()
@@ -109,6 +121,15 @@ def test_prepared_code_is_not_used_after_a_value_changed_elsewhere(monkeypatch: 
     monkeypatch.setattr(precompiled, "_digest", source_digest)
     assert precompiled.current(kernel)
     monkeypatch.setitem(kernel.function.__globals__, "CHUNK", 7)
+    assert precompiled.current(kernel) == []
+
+
+def test_of_a_kernel_without_a_digest_nothing_is_prepared(monkeypatch: pytest.MonkeyPatch) -> None:
+    from featreg.geolocation import ground_kernels
+
+    kernel: Any = ground_kernels.ground_of
+    monkeypatch.setattr(precompiled, "listed", lambda _: [{"kernel": "ground_of", "source": ""}])
+    monkeypatch.setattr(precompiled, "_digest", lambda _: "")
     assert precompiled.current(kernel) == []
 
 
