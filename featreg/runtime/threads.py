@@ -185,15 +185,8 @@ class _Team:
         """
         job = _Job(work, divided)
         helpers = min(self.size, len(work)) - 1
-        while len(self._helpers) < helpers:
-            helper = threading.Thread(target=self._help, name="featreg", daemon=True)
-            try:
-                helper.start()
-            except RuntimeError:
-                # The system has no more threads for us, or the interpreter is about to end: fewer do the same.
-                break
-            self._helpers.append(helper)
         with self._lock:
+            self._start(helpers)
             self.at_work += 1
             self._open.append(job)
             self._wake(job, helpers)
@@ -206,6 +199,17 @@ class _Team:
                 self.at_work -= 1
                 self._close(job)
         return job.results()
+
+    def _start(self, helpers: int) -> None:
+        """Start helpers until there are so many; whoever asks holds the lock, so that two who ask start no more."""
+        while len(self._helpers) < helpers:
+            helper = threading.Thread(target=self._help, name="featreg", daemon=True)
+            try:
+                helper.start()
+            except RuntimeError:
+                # The system has no more threads for us, or the interpreter is about to end: fewer do the same.
+                break
+            self._helpers.append(helper)
 
     def dismiss(self) -> None:
         """Let the helpers end."""

@@ -148,6 +148,25 @@ def test_a_thread_without_work_helps_with_what_another_has_begun(monkeypatch: py
         assert helped["tasks"] == ({busy} if busy != here else helped["tasks"] | {busy})
 
 
+def test_two_that_share_out_work_at_once_start_no_more_helpers(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(threads, "available_processors", lambda: 3)
+    meeting, before = threading.Barrier(2, timeout=30), threading.active_count()
+    start = threading.Thread.start
+
+    def slowly(self: threading.Thread) -> None:
+        time.sleep(0.01)
+        start(self)
+
+    def nested() -> None:
+        meeting.wait()
+        side_by_side([lambda: time.sleep(0.001)] * 6)
+
+    monkeypatch.setattr(threading.Thread, "start", slowly)
+    with limited_threads(3):
+        side_by_side([nested, nested])
+        assert threading.active_count() == before + 2
+
+
 def test_a_derived_map_that_both_images_need_is_made_once_by_threads_that_help(monkeypatch: pytest.MonkeyPatch) -> None:
     """One thread makes it, in parts, while the other waits for the lock: neither waits for what the other holds."""
     monkeypatch.setattr(threads, "available_processors", lambda: 3)
@@ -255,8 +274,11 @@ def test_parts_make_up_the_whole_whatever_their_number(monkeypatch: pytest.Monke
         assert len(divided(20, step=16)) == 1
 
 
-def test_a_registration_gives_the_same_bits_for_any_number_of_threads() -> None:
-    pair = sar_pair((360, 380), seed=2)
+def test_a_registration_gives_the_same_bits_for_any_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(threads, "available_processors", lambda: 3)
+    # Of small images the rows are shared out as well.
+    monkeypatch.setattr(threads, "LEAST", 1 << 11)
+    pair = sar_pair((361, 383), seed=2)
     found = [featreg.match(pair.reference, pair.secondary, n_features=600, threads=n) for n in (1, 2, 3)]
     for other in found[1:]:
         np.testing.assert_array_equal(other.matches.secondary_xy, found[0].matches.secondary_xy)
