@@ -198,9 +198,10 @@ def _despeckled_halved(image: Image, sigma: float) -> F32:
     out = np.empty((height, width), np.float32)
     if not out.size:
         return out
+    amplitude, terms = np.ascontiguousarray(filled_amplitude(image)), _byte_terms(image, sigma)
 
     def part(start: int, stop: int) -> None:
-        for first, last, smooth in _smoothed_strips(image, sigma, start, stop):
+        for first, last, smooth in _smoothed_strips(amplitude, terms, start, stop):
             size = width, (last - first) // 2
             cv2.resize(smooth[:, : 2 * width], size, out[first // 2 : last // 2], 0, 0, cv2.INTER_AREA)
 
@@ -208,21 +209,24 @@ def _despeckled_halved(image: Image, sigma: float) -> F32:
     return out
 
 
-def _smoothed_strips(image: Image, sigma: float, start: int, stop: int) -> Iterator[tuple[int, int, F32]]:
+def _smoothed_strips(
+    amplitude: F32, terms: tuple[np.float32, F32, np.float32], start: int, stop: int
+) -> Iterator[tuple[int, int, F32]]:
     """(first, behind the last) row of strips between two rows, and their smoothed log-amplitude.
 
-    Strips stay in the cache: of a large image only the amplitude is read and the result written.
+    `terms` are `_byte_terms`. Strips stay in the cache: of a large image only the amplitude is read and the result
+    written.
     """
     from featreg.sar.speckle_kernels import smoothed_logarithms as kernel
 
-    reach = gaussian_reach(sigma)
-    amplitude = np.ascontiguousarray(filled_amplitude(image))
-    floor, taps, offset = _byte_terms(image, sigma)
-    rows = max(2, STRIP // image.shape[1] // 2 * 2)
+    floor, taps, offset = terms
+    reach = len(taps) - 1
+    height, width = amplitude.shape
+    rows = max(2, STRIP // width // 2 * 2)
     for first in range(start, stop, rows):
         last = min(first + rows, stop)
-        above, below = max(first - reach, 0), min(last + reach, image.shape[0])
-        smooth = np.empty((below - above, image.shape[1]), np.float32)
+        above, below = max(first - reach, 0), min(last + reach, height)
+        smooth = np.empty((below - above, width), np.float32)
         kernel(amplitude[above:below], floor, taps, np.float32(STEPS), offset, 0, len(smooth), smooth, NO_BYTES)
         yield first, last, smooth[first - above : last - above]
 
