@@ -119,7 +119,8 @@ class FeatureMatcher(Matcher):
     def _share(self, *images: Image) -> float:
         """The share of their sides at which features are found in images."""
         # A detector may have a smaller budget of its own.
-        wanted = self.pixels_per_feature * min(self.n_features, getattr(self.detector, "n_features", self.n_features))
+        own = getattr(self.detector, "n_features", None)
+        wanted = self.pixels_per_feature * min(self.n_features, self.n_features if own is None else own)
         pixels = min(image.valid_count for image in images) if wanted else 0
         if not pixels:
             return 1.0

@@ -65,7 +65,9 @@ def suitable_side(area: Window, pipeline: Pipeline, split: str = SPLITS[0]) -> i
     rim = 2 * halo_of(matcher, pipeline.locate, pipeline.refine)
 
     def takes(side: int) -> float:
-        return matcher.detector.window_bytes((side + rim, side + rim))
+        # Along a short side of the area blocks may be a third larger than they are asked to be.
+        tall, wide = (max(b - a for a, b in pairwise(_edges(0, n, side))) + rim for n in area.shape)
+        return matcher.detector.window_bytes((tall, wide))
 
     most = max(MEMORY, takes(BLOCK))
     # What networks look at part by part takes less at some larger sides.

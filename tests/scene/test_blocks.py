@@ -59,13 +59,24 @@ def test_no_larger_block_takes_much_memory(monkeypatch: pytest.MonkeyPatch) -> N
     matcher = pipeline.matcher
     assert isinstance(matcher, FeatureMatcher)
     rim = 2 * halo_of(matcher, pipeline.locate, pipeline.refine)
-    sides = {}
-    for pixel in (500.0, 1000.0, 5000.0):
-        monkeypatch.setattr(
-            type(matcher.detector), "window_bytes", lambda _, shape, pixel=pixel: pixel * shape[0] * shape[1]
-        )
-        sides[pixel] = suitable_side(large, pipeline)
-    assert sides == {500.0: 1000, 1000.0: math.isqrt(MEMORY // 1000) - rim, 5000.0: 600}
+    narrow, sides = Window(0, 0, 20_000, 1450), {}
+    for area in (large, narrow):
+        for pixel in (500.0, 1000.0, 5000.0):
+            monkeypatch.setattr(
+                type(matcher.detector), "window_bytes", lambda _, shape, pixel=pixel: pixel * shape[0] * shape[1]
+            )
+            sides[area, pixel] = side = suitable_side(area, pipeline)
+            asked, least = (
+                max(pixel * (w.height + rim) * (w.width + rim) for w in (b.window for b in plan_blocks(area, n)))
+                for n in (side, 600)
+            )
+            assert asked <= max(MEMORY, least)
+    # As large as there is room for, but for what blocks differ from what they are asked to be.
+    assert sides[large, 500.0] == 1000
+    assert sides[large, 1000.0] == pytest.approx(math.isqrt(MEMORY // 1000) - rim, rel=0.08)
+    assert plan_blocks(large, sides[large, 5000.0]) == plan_blocks(large, 600)
+    # One row of blocks 1450 px high would be too much, two rows are not.
+    assert sides[narrow, 1000.0] < 967
 
 
 def test_what_is_looked_at_part_by_part_takes_the_memory_of_a_part() -> None:
