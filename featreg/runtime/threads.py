@@ -173,7 +173,8 @@ class _Team:
         self._open: list[_Job] = []
         self._sleepers: list[_Sleeper] = []
         self._helpers: list[threading.Thread] = []
-        self._over = False
+        #: Which helpers are wanted: those that were started since the last were dismissed.
+        self._crew = 0
         #: How many jobs have not ended.
         self.at_work = 0
 
@@ -193,7 +194,7 @@ class _Team:
         try:
             self._take_part(job)
             while not job.done:
-                self._once(waits_for=job)
+                self._once(lambda: job.done, waits_for=job)
         finally:
             with self._lock:
                 self.at_work -= 1
@@ -203,7 +204,7 @@ class _Team:
     def _start(self, helpers: int) -> None:
         """Start helpers until there are so many; whoever asks holds the lock, so that two who ask start no more."""
         while len(self._helpers) < helpers:
-            helper = threading.Thread(target=self._help, name="featreg", daemon=True)
+            helper = threading.Thread(target=self._help, args=(self._crew,), name="featreg", daemon=True)
             try:
                 helper.start()
             except RuntimeError:
@@ -212,27 +213,26 @@ class _Team:
             self._helpers.append(helper)
 
     def dismiss(self) -> None:
-        """Let the helpers end."""
+        """Let the helpers end, also one that an interrupt kept from being listed while it was started."""
         with self._lock:
-            self._over = True
+            self._crew += 1
             for sleeper in self._sleepers:
                 sleeper.bell.release()
             self._sleepers.clear()
         for helper in self._helpers:
             helper.join()
         self._helpers.clear()
-        self._over = False
 
-    def _help(self) -> None:
-        """Take part in whatever there is until the team is dismissed."""
-        while not self._over:
-            self._once(waits_for=None)
+    def _help(self, crew: int) -> None:
+        """Take part in whatever there is until the crew is dismissed."""
+        while self._crew == crew:
+            self._once(lambda: self._crew != crew)
 
-    def _once(self, waits_for: _Job | None) -> None:
-        """Take part in a job that was begun by another thread, or sleep until there may be one; where a thread waits
-        for work of its own, until that is done."""
+    def _once(self, over: Callable[[], bool], waits_for: _Job | None = None) -> None:
+        """Take part in a job that was begun by another thread, or sleep until there may be one, or until it is over:
+        the crew is dismissed or, where a thread waits for work of its own, that is done."""
         with self._lock:
-            if self._over or (waits_for is not None and waits_for.done):
+            if over():
                 return
             # The last to be begun lies innermost, and others wait for it.
             job = next((job for job in reversed(self._open) if job.suits(waits_for)), None)

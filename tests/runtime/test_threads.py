@@ -221,6 +221,25 @@ def test_after_an_error_nothing_more_is_begun(monkeypatch: pytest.MonkeyPatch) -
         assert side_by_side([int, str]) == [0, ""]
 
 
+def test_a_helper_that_an_interrupt_kept_from_being_listed_ends_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(threads, "available_processors", lambda: 2)
+    start, before = threading.Thread.start, set(threading.enumerate())
+
+    def interrupted(self: threading.Thread) -> None:
+        start(self)
+        raise KeyboardInterrupt
+
+    with limited_threads(2):
+        with monkeypatch.context() as patched:
+            patched.setattr(threading.Thread, "start", interrupted)
+            with pytest.raises(KeyboardInterrupt):
+                side_by_side([int, str])
+        assert side_by_side([int, str]) == [0, ""]
+    for thread in set(threading.enumerate()) - before:
+        thread.join(30)
+        assert not thread.is_alive()
+
+
 def test_what_failed_keeps_nothing_alive(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(threads, "available_processors", lambda: 2)
 
