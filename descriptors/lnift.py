@@ -14,6 +14,7 @@ from featreg.errors import ParameterError
 from featreg.interfaces import Descriptor
 from featreg.registry import register
 from featreg.runtime.parameters import Share
+from featreg.sar.gradients.lengths import lengths
 from featreg.sar.gradients.local_normalisation import locally_normalised
 from featreg.sar.keypoints.index_map import Cells, places_of, turned_histograms
 from featreg.types import Features, Image
@@ -93,7 +94,7 @@ def _cell_list(image: Image, side: float, bins: int, window: int) -> F32:
     view = cv2.GaussianBlur(locally_normalised(image, window), (0, 0), SIGMA)
     gx, gy = cv2.Sobel(view, cv2.CV_32F, 1, 0), cv2.Sobel(view, cv2.CV_32F, 0, 1)
     clear = cv2.erode(image.mask.view(np.uint8), np.ones((5, 5), np.uint8), borderType=cv2.BORDER_REPLICATE)
-    strength = cv2.magnitude(gx, gy) * clear
+    strength = lengths(gx, gy) * clear
     # Clockwise as seen, in bins of half a turn, so that a keypoint's angle is added.
     at = np.arctan2(gy, gx) * np.float32(bins / math.pi)
     low = np.floor(at)

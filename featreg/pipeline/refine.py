@@ -33,6 +33,7 @@ from featreg.sar.correlation_filter import (
     filter_of_squares,
     square_corners,
 )
+from featreg.sar.gradients.lengths import lengths
 from featreg.sar.pyramid import reduced
 from featreg.sar.speckle import despeckled, despeckled_halved, log_amplitude
 from featreg.sar.windows import as_map, compact, few, places, windows_of_both
@@ -297,7 +298,7 @@ def strongest_of_cells(view: F32, count: int, margin: int) -> IntArray:
             # One row more on either side, where there is one, tells the gradient of the outer ones.
             above = max(top - 1, 0)
             some = view[above : min(top + side + 1, height)]
-            strength = cv2.magnitude(cv2.Sobel(some, cv2.CV_32F, 1, 0), cv2.Sobel(some, cv2.CV_32F, 0, 1))
+            strength = lengths(cv2.Sobel(some, cv2.CV_32F, 1, 0), cv2.Sobel(some, cv2.CV_32F, 0, 1))
             cells = strength[top - above : top - above + side, x0 : x0 + cols * side].reshape(side, cols, side)
             best[row] = cells.swapaxes(0, 1).reshape(cols, side * side).argmax(axis=1)
 

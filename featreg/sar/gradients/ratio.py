@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from featreg.errors import ParameterError
 from featreg.runtime.buffers import scratch
 from featreg.runtime.threads import in_parts
+from featreg.sar.gradients.lengths import lengths
 from featreg.sar.speckle import filled_amplitude, mean_amplitude
 from featreg.types import BoolArray, Image
 
@@ -216,10 +217,8 @@ def edge_strength(gx: F32, gy: F32, *, eq5: bool = False) -> F32:
 
     Eq. 5 is sqrt(T1^2 + T3^2) of the ratios; sqrt(2) is subtracted, so that a flat area is 0 in both.
     """
-    import cv2
-
     if not eq5:
-        return np.asarray(cv2.magnitude(gx, gy), np.float32)
+        return lengths(gx, gy)
     strength = np.sqrt(np.exp(2 * np.abs(gx)) + np.exp(2 * np.abs(gy))) - np.float32(math.sqrt(2))
     return np.asarray(strength, np.float32)
 
