@@ -160,7 +160,7 @@ def _warm_agreement(pixels: Any) -> None:
 
 
 def _warm_geometry() -> None:
-    """Use the sensors and the back-projection once."""
+    """Use the sensors, the back-projection and the residual field once."""
     import numpy as np
 
     from featreg.focusing.backprojection import back_project
@@ -168,6 +168,7 @@ def _warm_geometry() -> None:
     from featreg.focusing.phase_history import PhaseHistory
     from featreg.geolocation.elevation_model import Patch
     from featreg.geolocation.orbit import Orbit
+    from featreg.geometry.residual_field import ResidualField
     from featreg.simulate.orbit import RangeDoppler
 
     shape, heights = (64, 64), np.zeros(2)
@@ -186,6 +187,10 @@ def _warm_geometry() -> None:
     pulses = np.ones((8, 16), np.complex64)
     history = PhaseHistory(pulses, np.linspace(9.6e9, 9.615e9, 16), places, np.linalg.norm(places, axis=1), azimuth)
     back_project(history, GroundGrid((32, 32), 0.5))
+    points = np.stack(np.meshgrid(np.arange(5.0), np.arange(5.0)), axis=-1).reshape(-1, 2)
+    field = ResidualField.from_estimate(points, points)
+    if isinstance(field, ResidualField):
+        field.displacement(points)
 
 
 def _methods() -> Iterator[dict[str, Any]]:

@@ -20,6 +20,10 @@ from featreg.types import FloatArray, IntArray
 MOST_CELLS, POINTS_PER_CELL = 12, 8
 #: Smoothing that is tried, relative to the weight of the points.
 SMOOTHING = 10.0 ** np.arange(-4, 5)
+#: Weight, relative to that of the points, that keeps coefficients that no point sees determined.
+RIDGE = 1e-9
+#: How many times the least miss of what is left out ends the search for a smoothing.
+WORSE = 1.5
 #: Squares along the longer side of the points' box that are left out together to judge a smoothing, and the folds of
 #: them along either axis.
 SQUARES, FOLDS = 6, 3
@@ -97,7 +101,9 @@ class ResidualField(Model):
         cells = np.clip(np.floor((high - low) / side), 1, MOST_CELLS).astype(int)
         shape = int(cells[1]) + 3, int(cells[0]) + 3
         frame = (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
-        coefficients = _smoothed(_basis(here, frame, shape), residual, n.weights, shape, _folds(here, low, high))
+        coefficients = _smoothed(here, frame, residual, n.weights, shape, _folds(here, low, high))
+        if coefficients is None:
+            return FailedFit(f"the {len(here)} points do not determine {shape[0]} x {shape[1]} coefficients")
         bound = float(np.hypot(*residual.T).max())
         return cls(plane.matrix[:2], coefficients.T.reshape(2, *shape), frame, bound)
 
@@ -109,9 +115,13 @@ class ResidualField(Model):
 
     def displacement(self, xy: FloatArray) -> FloatArray:
         """(N, 2) px by which the residual moves the mapped (N, 2) reference points."""
-        shape = self.field.shape[1], self.field.shape[2]
+        from featreg.geometry import residual_field_kernels as kernels
+
         lost = np.asarray(~np.isfinite(xy).all(axis=1))
-        moved = np.asarray(_basis(np.where(lost[:, None], 0.0, xy), self.frame, shape) @ self.field.reshape(2, -1).T)
+        shape = self.field.shape[1], self.field.shape[2]
+        moved = np.empty((len(xy), 2))
+        first, values = _splines(np.where(lost[:, None], 0.0, xy), self.frame, shape)
+        kernels.displaced(first, values, shape[1], self.field.reshape(2, -1).T.copy(), moved)
         size = np.hypot(*moved.T)
         moved *= np.minimum(1.0, self.limit / np.maximum(size, 1e-300))[:, None]
         moved[lost] = np.nan
@@ -165,59 +175,54 @@ class InverseField(DerivedModel):
         return {"forward": self.forward}
 
 
-def _basis(xy: FloatArray, frame: tuple[float, float, float, float], shape: tuple[int, int]) -> Any:
-    """Sparse (N, R C) values of the cubic B-splines; points outside the frame count as on its rim."""
-    from scipy.sparse import csr_array
+def _splines(
+    xy: FloatArray, frame: tuple[float, float, float, float], shape: tuple[int, int]
+) -> tuple[IntArray, FloatArray]:
+    """(N, 2) numbers of the first column and row of splines that are not zero at each point, (N, 2, 4) values of four.
 
+    Points outside the frame count as on its rim.
+    """
     left, top, right, bottom = frame
-    across, down = _line(xy[:, 0], left, right, shape[1]), _line(xy[:, 1], top, bottom, shape[0])
-    values = (down[1][:, :, None] * across[1][:, None, :]).reshape(len(xy), 16)
-    columns = (down[0][:, :, None] * shape[1] + across[0][:, None, :]).reshape(len(xy), 16)
-    starts = np.arange(len(xy) + 1) * 16
-    return csr_array((values.ravel(), columns.ravel(), starts), shape=(len(xy), shape[0] * shape[1]))
+    lines = _line(xy[:, 0], left, right, shape[1]), _line(xy[:, 1], top, bottom, shape[0])
+    return np.stack([first for first, _ in lines], axis=1), np.stack([values for _, values in lines], axis=1)
 
 
-def _line(at: FloatArray, start: float, stop: float, count: int) -> tuple[Any, FloatArray]:
-    """(N, 4) numbers and values of the four splines of `count` that are not zero at each point."""
+def _line(at: FloatArray, start: float, stop: float, count: int) -> tuple[IntArray, FloatArray]:
+    """(N,) number of the first of the four splines of `count` that are not zero at each point, (N, 4) their values."""
     cells = count - 3
     t = np.clip((at - start) / (stop - start), 0.0, 1.0) * cells
     first = np.minimum(np.floor(t), cells - 1).astype(np.int64)
     u = t - first
     values = np.stack([(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3], axis=1) / 6
-    return first[:, None] + np.arange(4), values
+    return first, values
 
 
 def _smoothed(
-    basis: Any, residual: FloatArray, weights: FloatArray, shape: tuple[int, int], fold: IntArray
-) -> FloatArray:
+    xy: FloatArray, frame: tuple[float, float, float, float], residual: FloatArray, weights: FloatArray,
+    shape: tuple[int, int], fold: IntArray,
+) -> FloatArray | None:  # fmt: skip
     """(R C, 2) coefficients at the smoothing that foretells best what lies in folds (N,) of the points left out."""
-    from scipy.linalg import cho_factor, cho_solve
+    from featreg.geometry import residual_field_kernels as kernels
 
-    rows, columns = (np.diff(np.eye(n), 2, axis=0) for n in shape)
-    penalty = np.kron(rows.T @ rows, np.eye(shape[1])) + np.kron(np.eye(shape[0]), columns.T @ columns)
-    weighted = basis.multiply(weights[:, None]).tocsr()
-    parts = []
-    for number in range(FOLDS**2):
-        own = np.flatnonzero(fold == number)
-        if len(own):
-            rows_of, heavy = basis[own], weighted[own]
-            parts.append((rows_of, residual[own], weights[own], (rows_of.T @ heavy).toarray(), heavy.T @ residual[own]))
-    normal, right = (np.asarray(np.sum([part[k] for part in parts], axis=0)) for k in (3, 4))
-    # Coefficients that no point sees must still be determined.
-    unit = np.trace(normal) / len(normal)
-    ridge = 1e-9 * unit * np.eye(len(normal))
-    chosen, best = SMOOTHING[-1], np.inf
-    for smoothing in SMOOTHING[::-1]:
-        stiff, missed = normal + (smoothing * unit * penalty + ridge), 0.0
-        for rows_of, truth, weight, inner, moment in parts if len(parts) > 1 else ():
-            left = cho_solve(cho_factor(stiff - inner, check_finite=False), right - moment, check_finite=False)
-            missed += float(weight @ ((rows_of @ left - truth) ** 2).sum(axis=1))
-        if missed < best:
-            chosen, best = smoothing, missed
-        elif missed > 1.5 * best:
-            # Rougher fields only get worse from here.
-            break
-    return np.asarray(cho_solve(cho_factor(normal + chosen * unit * penalty + ridge), right))
+    first, values = _splines(xy, frame, shape)
+    out = np.empty((shape[0] * shape[1], 2))
+    determined = kernels.smoothed(
+        first, values, np.ascontiguousarray(residual), np.ascontiguousarray(weights), fold, shape[1], _penalty(shape),
+        RIDGE, np.ascontiguousarray(SMOOTHING[::-1], np.float64), WORSE, out,
+    )  # fmt: skip
+    return out if determined else None
+
+
+def _penalty(shape: tuple[int, int]) -> FloatArray:
+    """(R C, 3 C + 4) band, as of the kernels, of the squared second differences of coefficients along both axes."""
+    count = shape[0] * shape[1]
+    band = np.zeros((count, 3 * shape[1] + 4))
+    place = np.arange(count).reshape(shape)
+    for step, first in ((1, place[:, :-2]), (shape[1], place[:-2])):
+        for i, one in enumerate((1.0, -2.0, 1.0)):
+            for j, other in enumerate((1.0, -2.0, 1.0)[i:]):
+                band[first + i * step, j * step] += one * other
+    return band
 
 
 def _folds(xy: FloatArray, low: FloatArray, high: FloatArray) -> IntArray:

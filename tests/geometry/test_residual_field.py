@@ -9,10 +9,12 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from scipy.interpolate import BSpline
 
 import featreg
 from featreg.errors import InputError
 from featreg.geometry import Affine, ResidualField, model_from_dict, model_to_dict
+from featreg.geometry.residual_field import FOLDS, RIDGE, SMOOTHING, WORSE, _folds
 from featreg.geometry.robust import fit_consensus
 from featreg.interfaces import FailedFit
 from featreg.types import FloatArray
@@ -98,6 +100,53 @@ def test_consensus_finds_it_among_outliers(ties: tuple[FloatArray, FloatArray]) 
     assert np.abs(model(inner()) - wavy(inner())).max() < 0.3
 
 
+def plain_field(here: FloatArray, there: FloatArray, weights: FloatArray, shape: tuple[int, int]) -> FloatArray:
+    """The coefficients by full matrices, and scipy's splines."""
+    plane = Affine.from_estimate(here, there, weights)
+    assert plane
+    low, high = here.min(axis=0), here.max(axis=0)
+    residual, weight = there - plane(here), weights / weights.mean()
+    lines = []
+    for axis, count in enumerate(shape[::-1]):
+        knots = np.arange(-3, count + 1, dtype=np.float64)
+        place = (here[:, axis] - low[axis]) / (high[axis] - low[axis]) * (count - 3)
+        lines.append(BSpline.design_matrix(place, knots, 3).toarray())
+    design = (lines[1][:, :, None] * lines[0][:, None, :]).reshape(len(here), -1)
+    down, across = (np.diff(np.eye(count), 2, axis=0) for count in shape)
+    penalty = np.kron(down.T @ down, np.eye(shape[1])) + np.kron(np.eye(shape[0]), across.T @ across)
+    unit = float(np.trace(design.T @ (weight[:, None] * design))) / len(penalty)
+    fold = _folds(here, low, high)
+
+    def solved(kept: Any, smoothing: float) -> FloatArray:
+        heavy = design[kept].T * weight[kept]
+        stiff = heavy @ design[kept] + unit * (smoothing * penalty + RIDGE * np.eye(len(penalty)))
+        return np.asarray(np.linalg.solve(stiff, heavy @ residual[kept]))
+
+    chosen, best = SMOOTHING[-1], np.inf
+    for smoothing in SMOOTHING[::-1]:
+        missed = 0.0
+        for number in range(FOLDS**2):
+            own = fold == number
+            off = design[own] @ solved(~own, smoothing) - residual[own]
+            missed += float(weight[own] @ (off**2).sum(axis=1))
+        if missed < best:
+            chosen, best = smoothing, missed
+        elif missed > WORSE * best:
+            break
+    return solved(np.ones(len(here), np.bool_), chosen).T.reshape(2, *shape)
+
+
+@pytest.mark.parametrize(("noise", "shape"), [(0.0, (6, 8)), (0.3, (6, 8)), (3.0, (8, 6))])
+def test_coefficients_are_those_of_full_matrices(noise: float, shape: tuple[int, int]) -> None:
+    rng = np.random.default_rng(4)
+    here = rng.uniform(0, 1, (150, 2)) * [1000, 600]
+    here = here if shape[0] < shape[1] else here[:, ::-1].copy()
+    there, weights = wavy(here) + rng.normal(0, 1, here.shape) * noise, rng.uniform(0.5, 2, len(here))
+    found = fitted(here, there, weights).field
+    assert found.shape == (2, *shape)
+    np.testing.assert_allclose(found, plain_field(here, there, weights, shape), atol=1e-9)
+
+
 def test_it_is_bounded_far_away(field: ResidualField) -> None:
     far = np.array([[-5000.0, 500.0], [500.0, 9000.0], [1e6, -1e6]])
     assert np.hypot(*field.displacement(far).T).max() <= field.limit + 1e-12
@@ -123,6 +172,15 @@ def test_it_survives_json_and_pickle(field: ResidualField) -> None:
 def test_the_pipeline_takes_it(ties: tuple[FloatArray, FloatArray]) -> None:
     result = featreg.fit(np.c_[ties][:400], model="residual-field", reference_shape=(1000, 1000))
     assert result.status == "ok", result.reason
+
+
+def test_what_the_points_do_not_determine_fails(
+    ties: tuple[FloatArray, FloatArray], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("featreg.geometry.residual_field.RIDGE", -1e3)
+    failed = ResidualField.from_estimate(*ties)
+    assert isinstance(failed, FailedFit)
+    assert "the 1500 points do not determine 15 x 15 coefficients" in failed.reason
 
 
 @pytest.mark.parametrize("count", [0, 3, 15])
