@@ -224,7 +224,8 @@ def test_a_residual_field_says_how_sure_it_is(located_pair: Any) -> None:
     uncertainty = got.gates["uncertainty"].value
     assert uncertainty is not None
     x, y = np.meshgrid(np.linspace(0, 450, 9), np.linspace(0, 450, 9))
-    # Not in the corner without data, where a smoothed field goes on as it may: eight scenes are 0.02 to 0.08 px off outside it.
+    # Not in the corner without data, where a smoothed field goes on as it may: eight scenes are 0.02 to 0.08 px off
+    # outside it.
     grid = np.column_stack([x.ravel(), y.ravel()])[(x.ravel() >= 280) | (y.ravel() >= 280)]
     actual = np.sqrt((Affine(located_pair.truth).residuals(grid, got.model(grid)) ** 2).mean())
     assert actual < 0.1
