@@ -169,6 +169,13 @@ class Watched:
         self.alike: list[float] = []
         self.local = precision._local
 
+    def __enter__(self) -> Watched:
+        precision._local = self
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        precision._local = self.local
+
     def __call__(self, scatter: precision.Scatter, curvature: F64, height: F64) -> tuple[F64, F64]:
         own = np.einsum("nij,nji->n", scatter.variance, np.linalg.inv(curvature)) / 2
         samples = np.log(own * height / np.maximum(1 - height**2, 1e-6))
@@ -200,11 +207,9 @@ def main() -> None:
             tallies: dict[str, Tally] = {}
             for one, other, truth in pairs(scene, looks, args.pairs, args.side, args.seed):
                 for window in args.windows.split(",") if "sar-dense" in args.methods else ():
-                    watched = Watched()
-                    precision._local = watched
                     matcher = create("matcher", "orientation-correlation", window=int(window))
-                    found = matcher.match(as_image(one, nodata=0), as_image(other, nodata=0))
-                    precision._local = watched.local
+                    with Watched() as watched:
+                        found = matcher.match(as_image(one, nodata=0), as_image(other, nodata=0))
                     alike += watched.alike
                     if found.covariance is not None:
                         error = error_of(found.secondary_xy, found.reference_xy, truth)
@@ -216,10 +221,9 @@ def main() -> None:
                         error = error_of(chosen.secondary_xy, chosen.reference_xy, truth)
                         tallies.setdefault(method, Tally()).add(error, chosen.covariance)
                         of_model(tallies.setdefault(f"{method}: model", Tally()), result, truth, args.side)
-            rows += [[scene, looks, name, *tally.row()] for name, tally in tallies.items()]
-            print(
-                table(["scene", "looks", "of", "number", *shares, "median", "rms px", "said px"], rows[-len(tallies) :])
-            )
+            found_rows = [[scene, looks, name, *tally.row()] for name, tally in tallies.items()]
+            print(table(["scene", "looks", "of", "number", *shares, "median", "rms px", "said px"], found_rows))
+            rows += found_rows
     print(table(["scene", "looks", "of", "number", *shares, "median", "rms px", "said px"], rows))
     if alike:
         print(

@@ -34,7 +34,7 @@ def share_taken_up(model: Model, reference_xy: FloatArray, secondary_xy: FloatAr
     The residuals of a fit with the projection Q onto what the model follows have the mean square tr(C - Q C) / 2 M, C
     being the covariance of the errors. Of independent errors that is 1 - P / 2 M of their variance. Errors of windows
     that overlap are alike by the share of their common area: many windows on one place are one measurement, and the
-    loss does not fall with their number but with the area that they cover.
+    loss does not fall with their number but with the area that they cover. Weights of the fit are not looked at.
     """
     step = max(1, -(-len(reference_xy) // ENOUGH))
     here, there = reference_xy[::step], secondary_xy[::step]
