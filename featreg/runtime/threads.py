@@ -7,6 +7,7 @@ import operator
 import os
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from contextvars import ContextVar, copy_context
@@ -26,6 +27,8 @@ _before_lock = threading.Lock()
 _team: ContextVar[_Team | None] = ContextVar("featreg_threads", default=None)
 #: Fewest pixels of a part: about 0.2 ms, where a thread that waits begins after 0.02 to 0.2 ms.
 LEAST = 1 << 18
+#: How long the system may take to end a thread, s.
+LONGEST_END = 1.0
 
 #: Read by the numeric libraries when they are first imported.
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
@@ -221,6 +224,7 @@ class _Team:
             self._sleepers.clear()
         for helper in self._helpers:
             helper.join()
+            _wait_for_system(helper)
         self._helpers.clear()
 
     def _help(self, crew: int) -> None:
@@ -283,6 +287,14 @@ class _Team:
         for sleeper in able[:most]:
             self._sleepers.remove(sleeper)
             sleeper.bell.release()
+
+
+def _wait_for_system(thread: threading.Thread) -> None:
+    """Wait until the system, too, has ended a thread that Python has: a moment later, in which no fork is safe."""
+    place = f"/proc/self/task/{thread.native_id}"
+    late = time.monotonic() + LONGEST_END
+    while os.path.exists(place) and time.monotonic() < late:
+        time.sleep(0.0002)
 
 
 class _Sleeper:

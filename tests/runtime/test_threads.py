@@ -189,6 +189,20 @@ def test_a_derived_map_that_both_images_need_is_made_once_by_threads_that_help(m
             assert sum(stop - first for first, stop in made) == 200
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="looks at the system's list of threads")
+def test_helpers_that_were_ended_are_gone_for_the_system_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Python knows of their end a moment earlier, in which a process that looks may not be forked."""
+    monkeypatch.setattr(threads, "available_processors", lambda: 3)
+    with limited_threads(3):
+        side_by_side([int] * 3)
+        end_helpers()
+        before = len(os.listdir("/proc/self/task"))
+        for _ in range(100):
+            side_by_side([int] * 9)
+            end_helpers()
+            assert len(os.listdir("/proc/self/task")) == before
+
+
 def test_work_is_done_where_no_more_threads_can_be_had(monkeypatch: pytest.MonkeyPatch) -> None:
     """Under a limit of processes, or while the interpreter ends."""
 
